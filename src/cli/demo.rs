@@ -435,7 +435,7 @@ impl<'a> Show<'a> {
             (Some(to), Some(_)) => format!("goes to the {to}"),
             (Some(to), None) => format!("begins in the {to}"),
         };
-        self.say(&[format!("{at_s:6} s  Robot {way}{fallback}: {}", reason(decision))]);
+        self.say(&[format!("{at_s:6} s  Robot {way}{fallback}. {}", reason(decision))]);
     }
 
     fn scored(&mut self, scores: &RoomScoresV1) {
@@ -451,7 +451,7 @@ impl<'a> Show<'a> {
         // These are the first scores: they contain no event.
         let mut news = scores.observed_ns == 0;
         if news {
-            self.say(&[format!("{:6} s  Before the first event:", 0)]);
+            self.say(&[format!("{:6} s  No event yet.", 0)]);
         }
         // All events that these scores contain for the first time.
         while self.sentences.front().is_some_and(|(observed_ns, _)| *observed_ns <= scores.observed_ns) {
@@ -567,8 +567,8 @@ impl<'a> Show<'a> {
             ]);
         }
         let source = format!(
-            "Simulated: means over {} that begin in a random room, with the same person and seed; `roomcast-lab table2` --scene {} --program {} \
-             --room-time {} --seed {} gives the same.",
+            "Simulated: means over {} that begin in a random room, with the same person and seed; `roomcast-lab table2 --scene {} --program {} \
+             --room-time {} --seed {}` gives the same.",
             count(plot.restarts as usize, "robot"),
             args.scene.display(),
             args.program.display(),

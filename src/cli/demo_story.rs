@@ -21,11 +21,18 @@ pub(super) fn told(sentence: &str) -> String {
     format!("{NAME} {third}{rest}")
 }
 
-/// A decision's reason as a sentence.
+/// A decision's reason as sentences.
 pub(super) fn reason(decision: &DecisionV1) -> String {
-    let reason = decision.reason();
-    let mut letters = reason.chars();
-    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+    sentences(decision.reason())
+}
+
+fn sentences(text: &str) -> String {
+    let capital = |sentence: &str| {
+        let mut letters = sentence.chars();
+        letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+    };
+    let text = text.trim_end_matches('.').split(". ").map(capital).collect::<Vec<String>>().join(". ");
+    if text.is_empty() { text } else { text + "." }
 }
 
 /// Where person and robot were, a row a room: the robot in the upper half of a cell, the person in the lower.
@@ -78,6 +85,8 @@ mod tests {
         ] {
             assert_eq!(told(narrated), expected);
         }
+        let reason = "Waiting: Ada is in the hall. waits in a room that is done; plan: 1 room left";
+        assert_eq!(sentences(reason), "Waiting: Ada is in the hall. Waits in a room that is done; plan: 1 room left.");
     }
 
     #[test]

@@ -106,7 +106,7 @@ pub fn arranged(command: Command) -> Command {
     command.help_template(template)
 }
 
-/// The list of commands of the first help page, of those that this build has.
+/// The commands of this build, for the first help page.
 fn groups(command: &Command) -> String {
     let mut text = String::new();
     for (heading, names) in GROUPS {

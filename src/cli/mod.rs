@@ -93,7 +93,7 @@ warn, info (default), or info,roomcast=debug, as --verbose does.";
 #[command(name = "roomcast", version, propagate_version = true, after_long_help = CODES_AND_LOGS)]
 pub struct Cli {
     /// Log each step.
-    #[arg(short, long, global = true)]
+    #[arg(short, long, global = true, display_order = 900)]
     verbose: bool,
     #[command(subcommand)]
     command: Command,

@@ -73,7 +73,7 @@ pub struct Args {
     /// Names for the segments of a Valetudo map: a TOML file with a line such as `11 = "kitchen"` each.
     #[arg(long, value_name = "FILE")]
     names: Option<PathBuf>,
-    /// The file for the rules from a Home Assistant's map; by default beside the map, as `NAME.rules.toml`. An existing file stays.
+    /// The file for the rules from a Home Assistant's map; by default next to the map, as `NAME.rules.toml`. An existing file stays.
     #[arg(long, value_name = "FILE")]
     rules: Option<PathBuf>,
     /// An area of Home Assistant that becomes no room, by its name or id; once for each.

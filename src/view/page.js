@@ -187,6 +187,7 @@ const drawPlan = () => {
 
 const line = (parent, text, className) => parent.append(html("span", text, className), document.createElement("br"));
 
+const sentences = (text) => text.split(". ").map(capital).join(". ");
 const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 const roomName = (id) => (state.rooms.find((room) => room.id === id) || { name: id }).name;
 
@@ -194,7 +195,10 @@ const roomName = (id) => (state.rooms.find((room) => room.id === id) || { name: 
 const whereText = (person) => {
   const at = Math.max(0, when - 1);
   if (person.sets && person.sets[at].length && person.sets[at].length <= 3) {
-    return `${capital(person.sets[at].map(roomName).join(" or "))} (${percent(person.set_has[at])} sure)`;
+    const value = (id) => personValue(person, state.rooms.findIndex((room) => room.id === id));
+    const set = person.sets[at].filter((id) => state.rooms.some((room) => room.id === id)).sort((a, b) => value(b) - value(a));
+    const out = person.sets[at].filter((id) => !set.includes(id));
+    return `${capital([...set, ...out].map(roomName).join(" or "))} (${percent(person.set_has[at])} sure)`;
   }
   const places = [...state.rooms.map((room, place) => [personValue(person, place), room.name]), [person.elsewhere[at], "out of the house"]];
   const [p, name] = places.sort((a, b) => b[0] - a[0])[0];
@@ -240,7 +244,7 @@ const planStrip = (decision) => {
   decision.stays.forEach((stay, i) => {
     const next = decision.stays[i + 1];
     const item = html("li", stay.name, next ? "past" : "present");
-    item.append(html("span", `${stay.works ? "" : "waits, "}${next ? `${time(stay.ago_s - next.ago_s)}` : `for ${time(stay.ago_s)}`}`));
+    item.append(html("span", `${stay.works ? "" : "waits "}${next ? time(stay.ago_s - next.ago_s) : `for ${time(stay.ago_s)}`}`));
     strip.append(item);
   });
   for (const id of decision.left || []) {
@@ -260,7 +264,7 @@ const robotCard = (decision) => {
   // The first sentence is the reason; the rest is detail.
   const end = decision.reason.search(/\.( |$)|; /);
   line(card, `${capital(end < 0 ? decision.reason : decision.reason.slice(0, end))}.`);
-  if (end >= 0 && end + 2 < decision.reason.length) line(card, capital(decision.reason.slice(end + 2)), "dim");
+  if (end >= 0 && end + 2 < decision.reason.length) line(card, sentences(decision.reason.slice(end + 2).trim()), "dim");
   line(card, { "dry run": "Dry run: no robot has reported.", "on its dock": "It is on its dock.", "unknown": "Its place is unknown." }[decision.place] || `It is in ${decision.place}.`);
   const cleaned = state.rooms.filter((room) => decision.cleaned_s && room.id in decision.cleaned_s).map((room) => `${room.name} ${ago(decision.cleaned_s[room.id])}`);
   if (cleaned.length) line(card, `Last cleaned: ${cleaned.join(", ")}.`, "dim");
@@ -287,6 +291,11 @@ const show = () => {
   if (!state.forecasts) when = 0;
   element("horizon-controls").hidden = !state.forecasts;
   element("live-controls").hidden = !state.live;
+  element("orders").hidden = !state.control;
+  const choice = element("order-room");
+  if (choice.options.length !== state.rooms.length || state.rooms.some((room, i) => choice.options[i].textContent !== room.name)) {
+    choice.replaceChildren(...state.rooms.map((room, i) => { const own = html("option", room.name); own.value = i; return own; }));
+  }
   horizon.max = Math.max(1, state.horizons_s.length);
   element("horizon-text").textContent = whenText();
   horizon.setAttribute("aria-valuetext", whenText());
@@ -359,16 +368,31 @@ const showQuality = () => {
   box.replaceChildren(svg, html("span", text, "dim"));
 };
 
-const get = async (path) => {
+const get = async (path, method = "GET") => {
   // The key of this start stands in the address, behind #.
   const headers = { "x-roomcast-key": location.hash.slice(1) };
-  const answer = await fetch(path, { cache: "no-store", credentials: "omit", headers });
+  const answer = await fetch(path, { method, cache: "no-store", credentials: "omit", headers });
   if (!answer.ok) {
     const error = new Error(await answer.text());
     error.refused = answer.status === 403;
     throw error;
   }
   return answer.json();
+};
+
+// An order goes to the planner; its next decision shows the effect.
+const order = async (button) => {
+  const { order: kind, for: seconds } = button.dataset;
+  const isOfRoom = kind === "clean" || kind === "skip";
+  const query = `kind=${kind}` + (isOfRoom ? `&room=${element("order-room").value}` : "") + (seconds ? `&for=${seconds}` : "");
+  const text = element("order-text");
+  try {
+    await get(`order?${query}`, "POST");
+    text.textContent = "Sent.";
+  } catch (error) {
+    text.textContent = error.message;
+  }
+  setTimeout(() => { text.textContent = ""; }, 4000);
 };
 
 const setPlaying = (goesOn) => {
@@ -420,6 +444,7 @@ const ask = async () => {
 
 document.addEventListener("pointermove", showName);
 document.addEventListener("click", showName);
+element("orders").addEventListener("click", (event) => { if (event.target.dataset.order) order(event.target); });
 element("horizon").addEventListener("input", (event) => { when = Number(event.target.value); show(); });
 element("items").addEventListener("change", show);
 element("pause").addEventListener("click", (event) => {

@@ -198,7 +198,7 @@ impl Picture {
         })
     }
 
-    /// The robot's decision, its last stays, and what is left to do.
+    /// The robot's decision, its last stays, and its remaining rooms.
     fn decision_card(&self, decision: &DecisionV1, taken_ns: u64, now_ns: u64) -> Value {
         let age_s = seconds_between(taken_ns, now_ns);
         let scores = self.scores.as_ref().map(|(scores, _)| scores);

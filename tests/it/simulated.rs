@@ -441,7 +441,7 @@ impl World {
     fn new(seed: u64, planted: Planted) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let persons = rng.random_range(1..=2);
-        // With two persons the window is exact, so that the oracle does not need the times of compaction.
+        // With two persons the window is exact, so that the oracle knows it without the voices.
         let slack = if persons == 1 { rng.random_range(0..4) } else { 0 };
         let gap_s = rng.random_range(0..2);
         let history = HistoryLimits { observations: rng.random_range(1..6), slack, gap_s, tokens: TOKENS };

@@ -662,6 +662,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut spool = open(folder.path());
         let dated = Dated::new(observation("They sit."), 7, None);
+        // Time of the real clock passes for it.
         std::thread::sleep(std::time::Duration::from_millis(5));
         spool.append(vec![dated]).unwrap();
         assert!(spool.age_ns(spool.get(1).unwrap()) >= 5_000_007);

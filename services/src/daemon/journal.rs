@@ -45,7 +45,7 @@ pub const FILE: &str = "roomcast.db";
 /// Its tables; the number marks Roomcast's files.
 pub const SCHEMA: Schema = Schema { application: 0x524d_4353, migrations: &[include_str!("journal/schema.sql")] };
 /// Records that may wait for the disk before the sender does.
-const QUEUE: usize = 65_536;
+const QUEUE: usize = 8_192;
 
 /// Where and how the journal is kept.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -44,6 +44,7 @@ use roomcast_core::scorer::{IsStopped, LanguageModel, ModelInfo, TokenCounter};
 use roomcast_database::SetAside;
 use roomcast_llama::LlamaModel;
 use roomcast_llama::affinity::{self, AffinityError};
+use roomcast_llama::memory;
 use scoring::{Ports, Scoring, Tools};
 
 mod ahead;
@@ -184,8 +185,12 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let (journal, mut recovered) =
         opened.map_or((None, Recovered::default()), |(journal, recovered)| (Some(journal), recovered));
     let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal.as_ref().map(Journal::handle));
-    let Loaded { board, ahead, kept_map, token_counter } =
-        load(config, names, recovered.habits.take(), model, aside.is_stopped())?;
+    let habits = recovered.habits.take();
+    let Some(loaded) = stop.while_loading(|| load(config, names, habits, model, aside.is_stopped())) else {
+        return Ok(());
+    };
+    let Loaded { board, ahead, kept_map, token_counter } = loaded?;
+    memory::return_freed();
     let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
     let sentence_tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
     let mut intake = Intake::new(config.daemon.intake)
@@ -279,7 +284,8 @@ fn load<M: LanguageModel + Send + 'static>(
         .with_persons(Persons::new(config.persons.clone(), names))
         .with_forecast(config.forecast)
         .with_named(named.map(|known| (sequence::source_of_name(&known.name), known.may)))
-        .with_habits(HomeHabits::new(memory, Zone::local()));
+        .with_habits(HomeHabits::new(memory, Zone::local()))
+        .with_readings();
     Ok(Loaded { board, ahead, kept_map, token_counter })
 }
 

@@ -109,6 +109,8 @@ pub(super) struct Scoring<M> {
     latency_ns: Option<Histogram<u64>>,
     tally: StatusResponseV1,
     log: Limiter,
+    /// The log has the warning that the model is slower than the deadline.
+    is_slow_told: bool,
     stop: Stop,
 }
 
@@ -152,6 +154,7 @@ impl<M: LanguageModel> Scoring<M> {
             latency_ns: Histogram::new_with_max(60_000_000_000, 3).ok(),
             tally,
             log: Limiter::new(LOG_INTERVAL_NS),
+            is_slow_told: false,
             stop,
         }
     }
@@ -204,6 +207,9 @@ impl<M: LanguageModel> Scoring<M> {
                 let board = self.cycle.board_mut();
                 let mut moment = || serde_json::to_string(&board.moment(clock::monotonic_ns())).unwrap_or_default();
                 self.ports.moments.answer(|_| moment())?;
+            }
+            if events > 0 && is_scored {
+                self.cycle.read_on();
             }
             if self.inbox.waiting() == 0 && self.cycle.waiting() == 0 && !self.cycle.step_due(clock::monotonic_ns()) {
                 self.look_after_habits(now_ns);
@@ -279,6 +285,14 @@ impl<M: LanguageModel> Scoring<M> {
                 tracing::error!(%error, not_told, "scoring failed; the narration is kept and scored with the next step");
             }
             return false;
+        }
+        let board = self.cycle.board();
+        if board.pipeline().scores().is_cut && !std::mem::replace(&mut self.is_slow_told, true) {
+            tracing::warn!(
+                deadline_ms = board.pipeline().inside().options().deadline_ns / 1_000_000,
+                "the model takes longer for an event than scoring.deadline_ms: the last scores are sent at once, with the flag BEHIND, and new scores when \
+                 they are ready. Raise the limit, or use a smaller model"
+            );
         }
         if let Some(journal) = &self.journal
             && !journal.wait_for(self.cycle.scored_record(), JOURNAL_PATIENCE)

@@ -41,7 +41,7 @@ fn the_processes_of_a_killed_demo_end_with_it() {
 fn rooms_of(who: &str, log: &str) -> Vec<(usize, String)> {
     let entry = |line: &str| {
         let (time, event) = line.trim_start().split_once(" s  ")?;
-        let way = event.strip_prefix(who)?.split(':').next()?.trim_end_matches(" (fallback)").trim_end_matches('.');
+        let way = event.strip_prefix(who)?.split('.').next()?.trim_end_matches(" (fallback)").trim_end_matches('.');
         let room = way.rsplit_once(" the ").map_or(way, |(_, room)| room);
         Some((time.parse().ok()?, room.to_owned()))
     };

@@ -23,8 +23,7 @@ fn a_second_planner_of_the_same_robot_is_refused() {
     let holder = format!("roomcast-planner one {number:016x} (process {})", world.children[first].child.id());
     assert!(log.contains(&holder), "{log}");
     // A killed planner does not block its successor.
-    world.signal(first, Signal::KILL);
-    world.wait(first);
+    world.end(first, Signal::KILL);
     let third = world.start(&["planner", "--robot", "one", "--know", "0", "--room-time", "0"]);
     let process = world.children[third].child.id();
     eventually("the third planner decides", || {

@@ -1,6 +1,7 @@
 //! Where each person is now: the forecasters by person, and the joint filter if it runs.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 
 use roomcast_ipc::raw::MAX_ROOMS;
 
@@ -38,6 +39,10 @@ pub(super) struct Seen {
     pub(super) is_off: bool,
     /// The person's window of narration has ended before it, although no step may have noticed the silence.
     pub(super) ends_window: bool,
+    /// The model's rooms count if the text names no place.
+    pub(super) is_read: bool,
+    /// These rooms: a likelihood for each.
+    pub(super) rooms: Option<Arc<[f64]>>,
 }
 
 #[derive(Debug, Default)]
@@ -52,9 +57,11 @@ pub(super) struct Belief {
     pub(super) tracking: Option<Box<Tracking>>,
     pub(super) sensors: Sensors,
     pub(super) robots: Robots,
+    /// While an event of a former run is weighed: whether a robot was in the sensor's room.
+    pub(super) restored_robot: Option<bool>,
     /// Local time minus the monotonic clock, in seconds.
     pub(super) local_ahead_s: f64,
-    seen: VecDeque<Seen>,
+    pub(super) seen: VecDeque<Seen>,
 }
 
 impl Belief {
@@ -99,7 +106,10 @@ impl Belief {
                         rooms = fill(&mut near, own.at(at_s, 0.0));
                     }
                     // The model's scores after all events are for the time after them.
-                    own.observe(at_s, mention, grounding, &[]);
+                    match &seen.rooms {
+                        Some(rooms) => own.suppose(at_s, rooms),
+                        None => own.observe(at_s, mention, grounding, &[]),
+                    }
                     home.turned(seen.person, seen.at_ns, turned_to(mention), own);
                     let Some(known) = attribution.persons.get_mut(seen.person) else { continue };
                     for deed in deeds(text.as_str()) {

@@ -131,6 +131,18 @@ impl Move {
         Self { person: PersonId::SOMEBODY, name: None, by_fit: true, event: None }
     }
 
+    /// The part of a robot: it explains what the sensor saw.
+    #[must_use]
+    pub(in crate::daemon) fn of_a_robot() -> Self {
+        Self { event: Some(Event::Present(None)), ..Self::of_nobody() }
+    }
+
+    /// Whether it is the part of a robot.
+    #[must_use]
+    pub(in crate::daemon) fn is_of_a_robot(&self) -> bool {
+        *self == Self::of_a_robot()
+    }
+
     /// The part of an event that is an empty room.
     #[must_use]
     pub(in crate::daemon) fn of_a_room(own: &Observation, observed: &Event) -> Self {
