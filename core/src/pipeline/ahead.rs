@@ -53,7 +53,7 @@ impl<M: LanguageModel> Ahead<'_, M> {
         if !options.binding.uses_narration() {
             return false;
         }
-        let mut write = |left: usize| {
+        let write = |left: usize, prompt: &mut String| {
             prompt.clear();
             for sentence in history.sentences().skip(left) {
                 if !prompt.is_empty() {
@@ -61,7 +61,6 @@ impl<M: LanguageModel> Ahead<'_, M> {
                 }
                 prompt.push_str(sentence);
             }
-            prompt.as_str()
         };
         let mut is_read = true;
         let mut note = |done: Result<bool, ScoreError>| {
@@ -71,16 +70,19 @@ impl<M: LanguageModel> Ahead<'_, M> {
             });
         };
         if *is_unread {
-            note(scorer.read_ahead(write(0)));
+            write(0, prompt);
+            note(scorer.read_ahead(prompt));
             *is_unread = !is_read;
             return true;
         }
         if persons.iter().filter(|person| person.at_home).nth(1).is_some() {
             // Another person's event takes the model's cache, and this window stays for the next event of this person.
-            note(scorer.read_aside(write(0), 1));
+            write(0, prompt);
+            note(scorer.read_aside(prompt, 1));
         }
         if let Some((leave, events)) = history.next_cut() {
-            note(scorer.read_aside(write(leave), if is_idle { 1 } else { events }));
+            write(leave, prompt);
+            note(scorer.read_aside(prompt, if is_idle { 1 } else { events }));
         }
         !is_read
     }
