@@ -18,11 +18,13 @@ use roomcast_services::recording::{Recorded, Recording};
 use roomcast_services::stop::Stop;
 use serde_json::{Value, json};
 
-use crate::http::{HttpError, Request, Server, refusal};
+use crate::http::{HttpError, Request, Server, only_get, refusal};
 use crate::reasons::Reasons;
+use control::Control;
 use picture::Picture;
 use plan::Plan;
 
+mod control;
 mod picture;
 mod plan;
 mod quality;
@@ -90,7 +92,10 @@ pub fn run(
     let moments = node.question_port(question::MOMENT)?;
     let mut reasons = Reasons::new(&node)?;
     let picture = Picture::of_robot(Some(sequence::source_of_name(robot)));
-    let shared = Arc::new(Mutex::new(Live { picture, ..Live::default() }));
+    // Orders need the key: another page in the browser could send them without it.
+    let control = if place.key.is_some() { Control::new(robot) } else { None };
+    let orders = control.is_some().then(|| node.publisher::<RobotReportV1>()).transpose()?;
+    let shared = Arc::new(Mutex::new(Live { picture, control, ..Live::default() }));
     let (answered, key) = (Arc::clone(&shared), place.key.clone());
     let mut server = Server::start(place.address, stop, move |request| {
         let mut live = answered.lock().unwrap_or_else(PoisonError::into_inner);
@@ -102,6 +107,12 @@ pub fn run(
         ports.scores.wait(TICK)?;
         let mut live = shared.lock().unwrap_or_else(PoisonError::into_inner);
         ports.receive(&mut live.picture)?;
+        if let (Some(control), Some(publisher)) = (&mut live.control, &orders) {
+            for order in control.drain() {
+                publisher.send(&order)?;
+            }
+            publisher.tick()?;
+        }
         if let Some(message) = things.news()? {
             live.picture.items(&message);
         }
@@ -243,10 +254,18 @@ trait Shown {
     fn state(&mut self, at_s: Option<f64>) -> Value;
     /// The plan of the map in use.
     fn plan(&mut self) -> Option<Value>;
+    /// Takes a person's order for the robot.
+    ///
+    /// # Errors
+    /// A sentence if the order is malformed, or if the page takes none.
+    fn order(&mut self, _kind: &str, _room: Option<&str>, _for_s: Option<&str>) -> Result<(), String> {
+        Err("this page takes no orders: a recording has no robot, and without a key any page could send them"
+            .to_owned())
+    }
 }
 
 fn answer(request: Request<'_>, key: Option<&str>, shown: &mut impl Shown) -> Response<String> {
-    let is_data = ["/state", "/plan"].contains(&request.uri.path());
+    let is_data = ["/state", "/plan", "/order"].contains(&request.uri.path());
     let given = request.headers.get(KEY).map(HeaderValue::as_bytes).unwrap_or_default();
     if is_data && key.is_some_and(|key| !is_same(key.as_bytes(), given)) {
         return refusal(
@@ -258,6 +277,13 @@ fn answer(request: Request<'_>, key: Option<&str>, shown: &mut impl Shown) -> Re
         let pairs = request.uri.query()?.split('&').filter_map(|pair| pair.split_once('='));
         pairs.filter(|(name, _)| *name == key).map(|(_, value)| value).next()
     };
+    if request.changes {
+        let Some(kind) = query("kind").filter(|_| request.uri.path() == "/order") else { return only_get() };
+        return match shown.order(kind, query("room"), query("for")) {
+            Ok(()) => Response::new("{}".to_owned()),
+            Err(why) => refusal(StatusCode::BAD_REQUEST, &why),
+        };
+    }
     let (kind, body) = match request.uri.path() {
         "/" => ("text/html; charset=utf-8", PAGE.to_owned()),
         "/page.css" => ("text/css; charset=utf-8", STYLE.to_owned()),
@@ -295,6 +321,8 @@ fn is_same(key: &[u8], given: &[u8]) -> bool {
 #[derive(Debug, Default)]
 struct Live {
     picture: Picture,
+    /// `None` if the page takes no orders.
+    control: Option<Control>,
     plan: Option<Plan>,
     /// When the page last asked.
     looked: Option<Instant>,
@@ -314,6 +342,7 @@ impl Shown for Live {
         let mut state = self.picture.state(now_ns);
         let plan = self.fitting_plan();
         (state["live"], state["forecasts"]) = (true.into(), true.into());
+        state["control"] = self.control.is_some().into();
         state["map"] = plan.map(Plan::key).into();
         state["daemon"] = self.picture.daemon(now_ns);
         plan.iter().for_each(|plan| plan.name(&mut state));
@@ -322,6 +351,11 @@ impl Shown for Live {
 
     fn plan(&mut self) -> Option<Value> {
         self.plan.as_ref().map(|plan| plan.drawing.clone())
+    }
+
+    fn order(&mut self, kind: &str, room: Option<&str>, for_s: Option<&str>) -> Result<(), String> {
+        let control = self.control.as_mut().ok_or("without a key this page takes no orders: leave out --no-key")?;
+        control.take(kind, room, for_s, self.picture.scores.as_ref().map(|(scores, _)| scores))
     }
 }
 
@@ -394,6 +428,7 @@ impl Shown for Played {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::eventually::eventually;
     use roomcast_core::grounding::GroundingOptions;
     use roomcast_core::semantic_map::SemanticMap;
     use roomcast_ipc::raw::{action, narration_kind};
@@ -694,8 +729,12 @@ mod tests {
     }
 
     fn got(address: SocketAddr, path: &str, host: &str, key: &str) -> String {
+        answered(address, &format!("GET {path}"), host, key)
+    }
+
+    fn answered(address: SocketAddr, what: &str, host: &str, key: &str) -> String {
         let mut stream = std::net::TcpStream::connect(address).unwrap();
-        write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\nX-Roomcast-Key: {key}\r\n\r\n").unwrap();
+        write!(stream, "{what} HTTP/1.1\r\nHost: {host}\r\nX-Roomcast-Key: {key}\r\n\r\n").unwrap();
         let mut text = String::new();
         stream.read_to_string(&mut text).unwrap();
         text
@@ -718,23 +757,54 @@ mod tests {
         decisions.send(&decision).unwrap();
         let least_s = clock::monotonic_ns() as f64 / 1e9 - 1.0;
         let (address, stop, thread) = viewed(&domain);
-        let ages = (0..600).find_map(|_| {
+        let ages = eventually("narration and decision have an age", || {
             // Late subscribers get earlier messages.
             narration.tick().unwrap();
             decisions.tick().unwrap();
             let answer = got(address, "/state", "localhost", "k3y");
             let state: Value = serde_json::from_str(answer.split_once("\r\n\r\n").unwrap().1).unwrap();
             let ages = [&state["narration"][0]["age_s"], &state["decision"]["age_s"]].map(Value::as_f64);
-            std::thread::sleep(Duration::from_millis(50));
             Some([ages[0]?, ages[1]?])
         });
-        assert!(ages.unwrap().into_iter().all(|age_s| age_s >= least_s), "{ages:?}, at least {least_s}");
+        assert!(ages.into_iter().all(|age_s| age_s >= least_s), "{ages:?}, at least {least_s}");
         stop.request();
         assert!(matches!(thread.join(), Ok(Ok(()))));
         drop((narration, decisions, node));
         let _left = domain.clean_up();
         // A message without a time counts as of now, and no message is dated ahead.
         assert_eq!([told_ns(0, 9), told_ns(5, 9), told_ns(12, 9)], [9, 5, 9]);
+    }
+
+    #[test]
+    fn orders_need_the_key_and_post() {
+        let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(folder.path().join("d"), &format!("orders-{}", std::process::id())).unwrap();
+        let node = domain.open("test").unwrap();
+        let reports = node.subscriber::<RobotReportV1>().unwrap();
+        let (address, stop, thread) = viewed(&domain);
+        for (what, host, key, status) in [
+            ("POST /order?kind=hold", "localhost", "", "403"),
+            ("POST /order?kind=hold", "localhost", "other", "403"),
+            ("POST /order?kind=hold", "evil.example", "k3y", "421"),
+            ("GET /order?kind=hold", "localhost", "k3y", "404"),
+            ("POST /state", "localhost", "k3y", "405"),
+            ("POST /order?kind=finished", "localhost", "k3y", "400"),
+            ("POST /order?kind=clean&room=0", "localhost", "k3y", "400"),
+            ("POST /order?kind=hold&for=60", "localhost", "k3y", "200"),
+        ] {
+            let answer = answered(address, what, host, key);
+            assert!(answer.starts_with(&format!("HTTP/1.1 {status}")), "{what} {key:?}: {answer}");
+        }
+        let order = (0..600).find_map(|_| {
+            reports.wait(Duration::from_millis(50)).unwrap();
+            reports.receive().unwrap()
+        });
+        assert_eq!(order.map(|order| order.kind), Some(roomcast_ipc::raw::report_kind::HOLD));
+        assert!(reports.receive().unwrap().is_none(), "the refused ones were not sent");
+        stop.request();
+        assert!(matches!(thread.join(), Ok(Ok(()))));
+        drop((reports, node));
+        let _left = domain.clean_up();
     }
 
     #[test]

@@ -567,8 +567,8 @@ impl<'a> Show<'a> {
             ]);
         }
         let source = format!(
-            "Simulated: means over {} that begin in a random room, with the same person and seed; `roomcast-lab table2` --scene {} --program {} \
-             --room-time {} --seed {} gives the same.",
+            "Simulated: means over {} that begin in a random room, with the same person and seed; `roomcast-lab table2 --scene {} --program {} \
+             --room-time {} --seed {}` gives the same.",
             count(plot.restarts as usize, "robot"),
             args.scene.display(),
             args.program.display(),

@@ -12,7 +12,7 @@ use roomcast_core::narration::line::WhoError;
 use roomcast_core::narration::{Event, ReadName, check_name};
 use roomcast_core::text::{did_you_mean, odd_name, visible};
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion};
-use roomcast_services::narrator::{self, Input, Item, Pace, Who};
+use roomcast_services::narrator::{self, CORRECTIONS, Input, Item, Pace, Who};
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -106,8 +106,6 @@ pub fn run(args: &Args) -> CommandResult {
     };
     print(&format!("{}{after_restart}", listed(&answer)))
 }
-
-const CORRECTIONS: &str = "roomcast-person";
 
 /// Sends a presence and prints how the daemon understood it.
 fn correct(who: &str, room: &str, common: &Common) -> CommandResult {

@@ -291,6 +291,11 @@ const show = () => {
   if (!state.forecasts) when = 0;
   element("horizon-controls").hidden = !state.forecasts;
   element("live-controls").hidden = !state.live;
+  element("orders").hidden = !state.control;
+  const choice = element("order-room");
+  if (choice.options.length !== state.rooms.length || state.rooms.some((room, i) => choice.options[i].textContent !== room.name)) {
+    choice.replaceChildren(...state.rooms.map((room, i) => { const own = html("option", room.name); own.value = i; return own; }));
+  }
   horizon.max = Math.max(1, state.horizons_s.length);
   element("horizon-text").textContent = whenText();
   horizon.setAttribute("aria-valuetext", whenText());
@@ -363,16 +368,31 @@ const showQuality = () => {
   box.replaceChildren(svg, html("span", text, "dim"));
 };
 
-const get = async (path) => {
+const get = async (path, method = "GET") => {
   // The key of this start stands in the address, behind #.
   const headers = { "x-roomcast-key": location.hash.slice(1) };
-  const answer = await fetch(path, { cache: "no-store", credentials: "omit", headers });
+  const answer = await fetch(path, { method, cache: "no-store", credentials: "omit", headers });
   if (!answer.ok) {
     const error = new Error(await answer.text());
     error.refused = answer.status === 403;
     throw error;
   }
   return answer.json();
+};
+
+// An order goes to the planner; its next decision shows the effect.
+const order = async (button) => {
+  const { order: kind, for: seconds } = button.dataset;
+  const isOfRoom = kind === "clean" || kind === "skip";
+  const query = `kind=${kind}` + (isOfRoom ? `&room=${element("order-room").value}` : "") + (seconds ? `&for=${seconds}` : "");
+  const text = element("order-text");
+  try {
+    await get(`order?${query}`, "POST");
+    text.textContent = "Sent.";
+  } catch (error) {
+    text.textContent = error.message;
+  }
+  setTimeout(() => { text.textContent = ""; }, 4000);
 };
 
 const setPlaying = (goesOn) => {
@@ -424,6 +444,7 @@ const ask = async () => {
 
 document.addEventListener("pointermove", showName);
 document.addEventListener("click", showName);
+element("orders").addEventListener("click", (event) => { if (event.target.dataset.order) order(event.target); });
 element("horizon").addEventListener("input", (event) => { when = Number(event.target.value); show(); });
 element("items").addEventListener("change", show);
 element("pause").addEventListener("click", (event) => {

@@ -83,7 +83,7 @@ impl Plan {
                 state[part][name] = self.in_names(text).into();
             }
         }
-        for stay in state["decision"]["stays"].as_array_mut().into_iter().flatten() {
+        for stay in state.pointer_mut("/decision/stays").and_then(Value::as_array_mut).into_iter().flatten() {
             if let Some(name) = stay["room"].as_str().and_then(|id| self.names.get(id)) {
                 stay["name"] = name.as_str().into();
             }
