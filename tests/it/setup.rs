@@ -249,10 +249,13 @@ fn a_home_that_is_set_up_well_has_no_fault() {
     assert_eq!(finding(&findings, "bridge")["verdict"], "limited");
     // After a day the doctor names the rules that never matched.
     let counts = std::fs::read_dir(home.path("home/state")).unwrap().map(|entry| entry.unwrap().path());
-    let counts = counts.into_iter().find(|path| path.to_string_lossy().contains("/rules-")).unwrap();
-    let mut counted: Value = serde_json::from_str(&std::fs::read_to_string(&counts).unwrap()).unwrap();
-    counted["since_unix_s"] = (counted["since_unix_s"].as_u64().unwrap() - 86_400).into();
-    std::fs::write(&counts, counted.to_string()).unwrap();
+    let is_counts = |path: &std::path::PathBuf| {
+        path.extension().is_some_and(|end| end == "db") && path.to_string_lossy().contains("/rules-")
+    };
+    let counts = counts.into_iter().find(is_counts).unwrap();
+    let earlier =
+        "UPDATE counted SET value = CAST(CAST(value AS INTEGER) - 86400 AS TEXT) WHERE field = 'since_unix_s'";
+    assert_eq!(roomcast_database::Connection::open(counts).unwrap().execute(earlier, []).unwrap(), 1);
     let (_, findings) = home.doctor();
     let never = finding(&findings, "rules that fit");
     assert!(text(never, "found").contains("in 24.0 h no message ever fitted"), "{never}");

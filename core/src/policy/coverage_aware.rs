@@ -629,7 +629,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let choice = CoverageAware::new(None).choose(&state, &[0.5; 3], &mut rng).unwrap();
         assert_eq!(
-            (choice.partition.0, choice.reason.contains("does the only open room to do, 120 s of it")),
+            (choice.partition.0, choice.reason.ends_with("plan: 1 open room left, about 2 min near people")),
             (1, true),
             "{}",
             choice.reason

@@ -54,8 +54,8 @@ fn windows_that_are_read_before_their_cut_score_the_same_to_the_last_bit() {
     let (idle, after_idle) = decoded(1, &options, |pipeline| while pipeline.ahead().tidy() {});
     let most = |decoded: &[u32]| decoded[1..].iter().max().copied().unwrap();
     println!("whole {whole:?}\nin parts {parts:?}\nidle {idle:?}");
-    assert!(most(&whole) > 70, "an event reads a whole window: {whole:?}");
-    assert!(most(&parts) < 40 && most(&idle) < 40, "{parts:?} {idle:?}");
+    assert!(most(&whole) > 30, "an event reads a whole window: {whole:?}");
+    assert!(most(&parts) < 10 && most(&idle) < 10, "{parts:?} {idle:?}");
     let first = (scores.iter().zip(&after_events).zip(&after_idle)).position(|((a, b), c)| a != b || a != c);
     assert_eq!(first, None, "the first event with other scores");
 }

@@ -75,7 +75,7 @@ impl Tally {
     }
 
     /// Writes changed counts of this process when they are due, or at the end.
-    pub(crate) fn keep(&mut self, fitted: &[u64], at_end: bool) {
+    pub fn keep(&mut self, fitted: &[u64], at_end: bool) {
         let now = Instant::now();
         if now < self.due && !at_end {
             return;

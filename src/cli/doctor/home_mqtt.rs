@@ -691,6 +691,7 @@ mod tests {
     use roomcast_core::grounding::GroundingOptions;
     use roomcast_services::config::PersonsConfig;
     use roomcast_services::daemon::PersonsFile;
+    use roomcast_services::mqtt::tally::Tally;
 
     /// A robot without Valetudo does not list segments: only the configuration has them.
     #[test]
@@ -751,14 +752,11 @@ mod tests {
         };
         std::fs::write(&path, rule("oven") + &rule("lamp")).unwrap();
         let rules = Rules::load(&path).unwrap();
-        let fitted: BTreeMap<String, u64> = rules.keys().into_iter().map(|key| (key, 3)).collect();
-        let counted = serde_json::json!({"since_unix_s": 0, "fitted": fitted}).to_string();
         let mut config = Config::default();
         config.daemon.state = Some(folder.path().to_owned());
-        let source = roomcast_ipc::sequence::source_of_name(&config.narrator.name);
         let state = config.daemon.state_directory().unwrap();
         std::fs::create_dir_all(&state).unwrap();
-        std::fs::write(state.join(format!("rules-{source:016x}.json")), counted).unwrap();
+        Tally::new(&state, &config.narrator.name, rules.keys()).keep(&[3, 3], true);
         let place = Place { config: &path, wait: std::time::Duration::from_secs(5) };
         let told = |said: &[&str]| {
             let mut seen = Seen::default();

@@ -243,7 +243,7 @@ fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
     let score = ["score", "--narration", "They sit."];
     let explain = ["explain", "--narration", "They sit."];
     let recording = ["explain", "--recording", "day.mcap"];
-    let import = ["scene", "import", "map.json", "--out", "scene.json"];
+    let import = ["scene", "import", "map.json", "--out", "scene.json", "--format", "virtualhome"];
     let valetudo = ["scene", "import", "map.json", "--out", "scene.json", "--format", "valetudo"];
     let cases: [(&[&str], &[&str]); 31] = [
         (&import, &["--up", "y"]),
