@@ -39,7 +39,7 @@ impl<M: LanguageModel> Ahead<'_, M> {
         let trailing_space = own.options.tokenisation == Tokenisation::Paper;
         let mut prompt = String::new();
         let text = Some(text).filter(|text| !text.is_empty());
-        write_prompt(text.into_iter(), &own.options.binding, trailing_space, &mut prompt);
+        write_prompt(text, &own.options.binding, trailing_space, &mut prompt);
         let (mut scores, mut grounded, mut nodes) = (LabelScores::default(), GroundedScores::default(), Vec::new());
         own.scorer.exchange_nodes(&mut nodes);
         let scored = own.scorer.score(&own.prepared, &prompt, own.options.method, &mut scores);
