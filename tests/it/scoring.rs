@@ -439,7 +439,7 @@ fn observation(sequence: u64, sentence: &str) -> Observation {
     Observation { observed_ns: BootNs(sequence), ..Observation::of(sequence, Sentence::new(sentence).unwrap()) }
 }
 
-/// A pipeline with partial answers and idle compaction against an exact one: the bounds hold, and the certified order is the exact order.
+/// A pipeline with partial answers and idle reading against an exact one: the bounds hold, and the certified order is the exact order.
 #[test]
 #[ignore = "full"]
 fn partial_answers_are_true_over_whole_programs() {
@@ -547,6 +547,7 @@ fn contexts_grow_for_longer_prompts_and_score_them_alike() {
     let mut whole = Scorer::new(single_precision_model(&LlamaOptions { cache: CacheType::F32, ..options(8) }));
     let limit = whole.model().info().context_tokens;
     whole.reserve(limit).unwrap();
+    grown.reserve(1).unwrap();
     let least = grown.model().positions();
     assert!((least as usize) < limit && whole.model().positions() as usize == limit);
     let binding = BindingSequence::default();

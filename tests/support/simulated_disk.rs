@@ -20,15 +20,7 @@ const BLOCK: usize = 512;
 const DATABASE: &str = "simulated";
 const NAME: &CStr = c"roomcast-simulated";
 
-/// Counts of the disk's faults.
-#[derive(Debug, Default, Clone, Copy)]
-pub struct DiskTally {
-    pub failed_calls: u64,
-    pub failed_syncs: u64,
-    pub stale_reads: u64,
-    pub misdirected_reads: u64,
-    pub set_aside: u64,
-}
+counts! { DiskTally: failed_calls, failed_syncs, stale_reads, misdirected_reads, set_aside; also: }
 
 /// One file.
 #[derive(Debug, Default, Clone)]
@@ -69,6 +61,8 @@ struct Machine {
     /// A failed sync counts as successful: a planted fault.
     hides_failed_syncs: bool,
     files: BTreeMap<String, File>,
+    /// No file can grow.
+    is_full: bool,
     /// Probabilities that a call fails, and that a start reads a wrong block.
     fails: f64,
     misreads: f64,
@@ -132,6 +126,7 @@ impl SimulatedDisk {
             rng: ChaCha8Rng::seed_from_u64(seed),
             hides_failed_syncs,
             files: BTreeMap::new(),
+            is_full: false,
             fails: 0.0,
             misreads: 0.0,
             misreading: None,
@@ -155,6 +150,11 @@ impl SimulatedDisk {
     /// Sets the probabilities that a call fails and that a start reads a wrong block.
     pub fn set_faults(self, fails: f64, misreads: f64) {
         with(|machine| (machine.fails, machine.misreads) = (fails, misreads));
+    }
+
+    /// From now on no file can grow.
+    pub fn fill(self) {
+        with(|machine| machine.is_full = true);
     }
 
     pub fn tally(self) -> DiskTally {
@@ -264,11 +264,15 @@ unsafe extern "C" fn write(file: *mut ffi::sqlite3_file, from: *const c_void, co
     // SAFETY: SQLite gives that many bytes, and a file that it has open.
     let (from, name) =
         unsafe { (std::slice::from_raw_parts(from.cast::<u8>(), usize::try_from(count).unwrap()), name_of(file)) };
+    let at = usize::try_from(at).unwrap();
     with(|machine| {
         let fails = machine.fails();
         let written = if fails { machine.rng.random_range(0..=from.len()) } else { from.len() };
         let file = machine.files.entry(name.clone()).or_default();
-        file.overwrite(usize::try_from(at).unwrap(), &from[..written]);
+        if machine.is_full && at + from.len() > file.shown.len() {
+            return ffi::SQLITE_FULL;
+        }
+        file.overwrite(at, &from[..written]);
         if fails { ffi::SQLITE_FULL } else { ffi::SQLITE_OK }
     })
 }
@@ -451,45 +455,20 @@ unsafe extern "C" fn randomness(_vfs: *mut ffi::sqlite3_vfs, count: c_int, out: 
     count
 }
 
-unsafe extern "C" fn sleep(_vfs: *mut ffi::sqlite3_vfs, microseconds: c_int) -> c_int {
-    microseconds
-}
-
-unsafe extern "C" fn now(_vfs: *mut ffi::sqlite3_vfs, out: *mut f64) -> c_int {
-    // SAFETY: SQLite gives room for the answer.
-    unsafe { *out = 2_460_000.5 };
-    ffi::SQLITE_OK
-}
-
-unsafe extern "C" fn last_error(_vfs: *mut ffi::sqlite3_vfs, _room: c_int, _out: *mut c_char) -> c_int {
-    0
-}
-
-/// Registers the disk with SQLite, once in a process.
+/// Registers the disk with SQLite, once in a process. Clock and sleep are those of the default VFS.
 fn register() {
+    // SAFETY: SQLite has a default VFS, which is never freed.
+    let default = unsafe { *ffi::sqlite3_vfs_find(std::ptr::null()) };
     let vfs = Box::leak(Box::new(ffi::sqlite3_vfs {
-        iVersion: 1,
         szOsFile: size_of::<Open>() as c_int,
-        mxPathname: 512,
         pNext: null_mut(),
         zName: NAME.as_ptr(),
-        pAppData: null_mut(),
         xOpen: Some(open),
         xDelete: Some(delete),
         xAccess: Some(access),
         xFullPathname: Some(full_path),
-        xDlOpen: None,
-        xDlError: None,
-        xDlSym: None,
-        xDlClose: None,
         xRandomness: Some(randomness),
-        xSleep: Some(sleep),
-        xCurrentTime: Some(now),
-        xGetLastError: Some(last_error),
-        xCurrentTimeInt64: None,
-        xSetSystemCall: None,
-        xGetSystemCall: None,
-        xNextSystemCall: None,
+        ..default
     }));
     // SAFETY: the VFS is complete, and is never freed.
     let code = unsafe { ffi::sqlite3_vfs_register(vfs, 0) };

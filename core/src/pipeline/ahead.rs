@@ -6,7 +6,7 @@ use crate::ids::PersonId;
 use crate::narration::history::History;
 use crate::prepared::{Answer, Outlook, PersonOutlook};
 use crate::prompt::write_prompt;
-use crate::scorer::{LabelScores, LanguageModel, Progress, Tokenisation};
+use crate::scorer::{LabelScores, LanguageModel, Progress, ScoreError, Tokenisation};
 
 /// Prefetches answers and does idle-time work: [`Pipeline::ahead`].
 #[derive(Debug)]
@@ -56,28 +56,57 @@ impl<M: LanguageModel> Ahead<'_, M> {
         self.0.answers.keep(answer, &self.0.histories)
     }
 
-    /// Does a small step of idle-time work: clears unusable data from the model's cache, cuts full history windows, and decodes narration that the
-    /// model has not read yet, so that no event waits for it. Returns whether there is more to do.
+    /// Does a small part of the idle-time work: clears unusable data from the model's cache, and lets the model read what the next events need, so that
+    /// no event waits for it. Returns whether there is more to do.
     pub fn tidy(&mut self) -> bool {
         self.0.scorer.tidy();
-        let Some(person) = self.0.read else { return false };
-        let Some(history) = self.0.histories.get_mut(person) else { return false };
-        self.0.is_unread |= history.compact() > 0;
-        if !self.0.is_unread || !self.0.options.binding.uses_narration() {
+        self.read(true)
+    }
+
+    /// Does a small part of that work after an event. The events until the next cut of the window do their parts, so the event that cuts it takes no
+    /// longer than others, even if no idle time was between them.
+    pub fn read_on(&mut self) {
+        self.read(false);
+    }
+
+    /// Returns whether there is more to read. A failure costs only time: the next event decodes the prompt, and reports the error if it persists.
+    fn read(&mut self, is_idle: bool) -> bool {
+        let Pipeline { scorer, histories, persons, prompt, options, read, is_unread, .. } = &mut *self.0;
+        let Some(history) = read.and_then(|person| histories.get(person)) else { return false };
+        if !options.binding.uses_narration() {
             return false;
         }
-        self.0.prompt.clear();
-        for sentence in history.sentences() {
-            if !self.0.prompt.is_empty() {
-                self.0.prompt.push(' ');
+        let write = |prompt: &mut String, left: usize| {
+            prompt.clear();
+            for sentence in history.sentences().skip(left) {
+                if !prompt.is_empty() {
+                    prompt.push(' ');
+                }
+                prompt.push_str(sentence);
             }
-            self.0.prompt.push_str(sentence);
+        };
+        let mut is_read = true;
+        let mut note = |done: Result<bool, ScoreError>| {
+            is_read &= done.unwrap_or_else(|error| {
+                tracing::debug!(%error, "failed to read narration ahead");
+                true
+            });
+        };
+        if *is_unread {
+            write(prompt, 0);
+            note(scorer.read_ahead(prompt));
+            *is_unread = !is_read;
+            return true;
         }
-        // A failure costs only time: the next event decodes the prompt, and reports the error if it persists.
-        self.0.is_unread = !self.0.scorer.read_ahead(&self.0.prompt).unwrap_or_else(|error| {
-            tracing::debug!(%error, "failed to read narration ahead");
-            true
-        });
-        self.0.is_unread
+        if persons.iter().filter(|person| person.at_home).nth(1).is_some() {
+            // Another person's event takes the model's cache, and this window stays for the next event of this person.
+            write(prompt, 0);
+            note(scorer.read_aside(prompt, 1));
+        }
+        if let Some((leave, events)) = history.next_cut() {
+            write(prompt, leave);
+            note(scorer.read_aside(prompt, if is_idle { 1 } else { events }));
+        }
+        !is_read
     }
 }

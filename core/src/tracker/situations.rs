@@ -255,7 +255,7 @@ fn texts_without_a_place_move_their_person_if_they_fit_one_room_and_not_if_they_
     let cooks = [0.14, 0.19, 0.63, 2.73, 0.23, 0.08];
     let smiles = [1.15, 1.15, 0.75, 0.98, 1.18, 0.83];
     let after = |who, rooms: &[f64]| {
-        let mut tracker = Tracker::new(super::situations::rooms(), Options::default(), 0.0);
+        let mut tracker = Tracker::new(self::rooms(), Options::default(), 0.0);
         (0..2).for_each(|_| assert!(tracker.add_person().is_ok()));
         for (person, room) in [(JON, KITCHEN), (MIRA, LIVING), (JON, KITCHEN), (MIRA, LIVING)] {
             tracker.observe(0.0, &Observation::Present { who: Some(person), room: Some(room) }, 0.99);

@@ -618,6 +618,11 @@ impl<M: LanguageModel> Board<M> {
         &self.map.map
     }
 
+    /// Does a small part of the model's reading after an event.
+    pub(super) fn read_on(&mut self) {
+        self.scoring.pipeline.ahead().read_on();
+    }
+
     /// Does a small part of the postponed work. Returns whether there is more.
     pub fn tidy(&mut self) -> bool {
         self.watch();

@@ -754,6 +754,7 @@ fn original(data: &[u8]) -> Result<Vec<u8>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use roomcast_core::grounding::GroundingOptions;
     use roomcast_core::ids::{BootNs, UnixNs};
     use roomcast_ipc::text;
 
@@ -824,7 +825,7 @@ mod tests {
     fn example(sequence: u64, map: &str) -> Moment {
         let moment = json!({
             "version": crate::moment::VERSION, "epoch": "3", "sequence": sequence, "computed_unix_ns": 0, "model": "", "model_fingerprint": "",
-            "map_fingerprint": map, "grounding": {}, "binding": "", "narration": [], "included": [], "labels": [], "scene": {"of": map},
+            "map_fingerprint": map, "grounding": GroundingOptions::default(), "binding_name": "", "binding": "", "narration": [], "included": [], "labels": [], "scene": {"of": map},
         });
         serde_json::from_value(moment).unwrap()
     }

@@ -4,9 +4,10 @@ use std::process::Command;
 use roomcast_ipc::raw::{Message, NarrationV1, RoomScoresV1, narration_kind};
 use roomcast_ipc::sequence;
 use roomcast_services::recording::{Recorded, Recording};
-use rustix::process::Signal;
 
-use super::{World, exit_code, includes, probabilities, recorder_listens, recorders_listen, roomcast, scores_with};
+use super::{
+    World, exit_code, includes, probabilities, recorder_listens, recorders_listen, roomcast, scores_with, scoring,
+};
 
 #[test]
 fn a_running_systems_scores_are_explained_down_to_the_tokens() {
@@ -75,11 +76,7 @@ fn last_scores(recording: &Recording) -> RoomScoresV1 {
 
 #[test]
 fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_them() {
-    let mut world = World::new("record");
-    world.start_daemon();
-    let node = world.domain.open("test").unwrap();
-    let scores = node.subscriber::<RoomScoresV1>().unwrap();
-    scores_with(&scores, "the first scores", |_| true);
+    let (mut world, _, node, _scores) = scoring("record");
     // Events before the recording belong to its windows.
     assert_eq!(world.narrate("early", "They wake up.\nThey walk to the bathroom.\n").0, 0);
     let file = world.directory.path().join("day.mcap");
@@ -89,9 +86,7 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     for (number, line) in lines.lines().enumerate() {
         assert_eq!(world.narrate(&format!("camera-{number}"), line).0, 0);
     }
-    world.signal(recorder, Signal::TERM);
-    let (status, log) = world.wait(recorder);
-    assert!(status.success(), "{log}");
+    let log = world.stop(recorder);
 
     let recording = roomcast_services::recording::read(&file).unwrap();
     let narration = |recording: &Recording| -> Vec<Vec<u8>> {
@@ -118,11 +113,7 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     assert!(earlier.contains("They grab the milk.") && !earlier.contains("They close the fridge."), "{earlier}");
 
     // A replay into another domain gives the same narration, and scores within the scorer's tolerance.
-    let mut other = World::new("replay");
-    other.start_daemon();
-    let other_node = other.domain.open("test").unwrap();
-    let other_scores = other_node.subscriber::<RoomScoresV1>().unwrap();
-    scores_with(&other_scores, "the first scores", |_| true);
+    let (mut other, _, other_node, other_scores) = scoring("replay");
     let early = "They wake up.\nThey walk to the bathroom.\n";
     assert_eq!(other.narrate("early", early).0, 0);
     let second = other.directory.path().join("again.mcap");
@@ -137,8 +128,7 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
         "{said}"
     );
     let last = scores_with(&other_scores, "all of it", |scores| includes(scores, "camera-3", 1));
-    other.signal(recorder, Signal::TERM);
-    assert!(other.wait(recorder).0.success());
+    other.stop(recorder);
     let again = roomcast_services::recording::read(&second).unwrap();
     assert_eq!(narration(&again), narration(&recording), "bit for bit");
     assert_eq!(last.window, recorded.window);
@@ -162,11 +152,7 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
 /// A running narrator resends its history to late listeners, including events of persons that were forgotten since then.
 #[test]
 fn a_recording_has_nothing_of_who_was_forgotten_before_it_began() {
-    let mut world = World::new("forgotten");
-    world.start_daemon();
-    let node = world.domain.open("test").unwrap();
-    let scores = node.subscriber::<RoomScoresV1>().unwrap();
-    scores_with(&scores, "the first scores", |_| true);
+    let (mut world, _, node, scores) = scoring("forgotten");
     let narration = node.publisher::<NarrationV1>().unwrap();
     let mut sequence = 0;
     let mut tell = |name: &str, text: &str| {
@@ -186,9 +172,7 @@ fn a_recording_has_nothing_of_who_was_forgotten_before_it_began() {
     recorder_listens(&node);
     // The next event of a narrator resends its history to late listeners.
     tell("Ada", "They stand up.");
-    world.signal(recorder, Signal::TERM);
-    let (status, log) = world.wait(recorder);
-    assert!(status.success(), "{log}");
+    let log = world.stop(recorder);
     let recording = roomcast_services::recording::read(&file).unwrap();
     let told = recording.messages.iter().filter_map(|(_, message)| match message {
         Recorded::Narration(narration) => Some(narration.text().to_owned()),
@@ -224,11 +208,7 @@ fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
     use roomcast_ros2::types::{Classification, Header, MarkerArray, Text, decode};
     use roomcast_ros2::words;
 
-    let mut world = World::new("record-ros2");
-    let daemon = world.start_daemon();
-    let node = world.domain.open("test").unwrap();
-    let scores = node.subscriber::<RoomScoresV1>().unwrap();
-    scores_with(&scores, "the first scores", |_| true);
+    let (mut world, daemon, node, _scores) = scoring("record-ros2");
     let path = |name: &str| world.directory.path().join(name).to_str().unwrap().to_owned();
     let (own, theirs) = (path("own.mcap"), path("theirs.mcap"));
     let recorders = [world.start(&["record", &own]), world.start(&["record", "--profile", "ros2", &theirs])];
@@ -245,9 +225,7 @@ fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
     assert!(reported.status.success(), "{reported:?}");
     // The senders stop first, so that both recordings end alike.
     for process in [planner, daemon].into_iter().chain(recorders) {
-        world.signal(process, Signal::TERM);
-        let (status, log) = world.wait(process);
-        assert!(status.success(), "{log}");
+        world.stop(process);
     }
 
     let bytes = std::fs::read(&theirs).unwrap();
@@ -341,11 +319,7 @@ fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
 /// One person is only present, one leaves, and one window ends after an hour of silence.
 #[test]
 fn a_recorded_household_is_explained_by_name() {
-    let mut world = World::new("record-home");
-    world.start_daemon();
-    let node = world.domain.open("test").unwrap();
-    let scores = node.subscriber::<RoomScoresV1>().unwrap();
-    scores_with(&scores, "the first scores", |_| true);
+    let (mut world, _, node, _scores) = scoring("record-home");
     let long_ago = roomcast_ipc::clock::unix_ns() as f64 / 1e9 - 7_200.0;
     let early = format!(
         r#"{{"person": "ada", "text": "They lie on the bed.", "observed_unix_s": {long_ago}}}
@@ -368,9 +342,7 @@ fn a_recorded_household_is_explained_by_name() {
     for (number, line) in lines.iter().enumerate() {
         assert_eq!(world.narrate(&format!("camera-{number}"), &format!("{line}\n")).0, 0);
     }
-    world.signal(recorder, Signal::TERM);
-    let (status, log) = world.wait(recorder);
-    assert!(status.success(), "{log}");
+    world.stop(recorder);
     let explain = |more: &[&str]| explain_recording(&file, more);
     let recording = roomcast_services::recording::read(&file).unwrap();
     let last = last_scores(&recording);

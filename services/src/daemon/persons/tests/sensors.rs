@@ -281,7 +281,7 @@ fn the_motion_of_a_robot_is_explained_also_after_a_restart() {
     flat.0.wait(1_800);
     let mut report = RobotReportV1 { kind: report_kind::STARTED, robot: 5, ..Default::default() };
     for (room, sensor) in [("corridor", CORRIDOR), ("kitchen", KITCHEN), ("bathroom", BATHROOM)] {
-        report.room = roomcast_ipc::text::encode("room", room).unwrap();
+        report.room = text::encode("room", room).unwrap();
         flat.0.board.see_report(&report, BootNs(flat.0.now_ns));
         for _ in 0..4 {
             flat.after(5, sensor, true);
