@@ -295,8 +295,7 @@ impl Tracking {
                 let Some(sensor) = self.sensor_of(home, (said.source, report), said.who) else { return false };
                 let room = self.sensors[sensor].1.room;
                 if let (Some(is_there), Some(room)) = (said.robot, room) {
-                    let here = [room];
-                    let rooms = if is_there { &here[..] } else { &[] };
+                    let rooms = if is_there { &[room][..] } else { &[] };
                     self.tracker.observe(at_s, &Observation::Robot { rooms }, TRUST);
                 }
                 self.had_robot = room.is_some_and(|room| self.tracker.has_robot(room));
