@@ -1273,7 +1273,7 @@ impl World {
         let is_joint = self.was_joint || ghost.board.is_joint();
         let before = *ghost.board.person_forecasts(BootNs(now_ns));
         let after = *daemon.cycle.board_mut().person_forecasts(BootNs(now_ns));
-        // An idle daemon may have cut its window, which then holds less than the journal restores; and the senders of events are unknown.
+        // The senders of restored events are unknown, so their windows may be cut differently.
         let same_windows = ghost.board.pipeline().inside().read_sentences().eq(daemon
             .cycle
             .board()
