@@ -11,6 +11,8 @@ use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast_services::config::Config;
 use roomcast_services::setup;
 
+use rustix::process::{Signal, set_parent_process_death_signal};
+
 use crate::{CommandResult, Failure, exit_code, print};
 
 /// Loads the model file at `path`, or the embedded model. Another process tries the file first.
@@ -70,8 +72,10 @@ pub fn elsewhere(arguments: impl IntoIterator<Item = OsString>, file: &Path) -> 
     }
 }
 
-/// Exercises everything that llama.cpp does with a model.
+/// Exercises everything that llama.cpp does with a model. Ends with the process that started it.
 pub fn rehearse(file: &Path, cache: CacheType) -> CommandResult {
+    // Without this, a large model would be loaded to the end for a process that was stopped.
+    let _ends_later = set_parent_process_death_signal(Some(Signal::TERM));
     let model_failure = |error: &dyn std::fmt::Display| Failure::new(exit_code::MODEL, error.to_string());
     let options = LlamaOptions { cache, ..LlamaOptions::default() };
     let model = LlamaModel::load(file, &options).map_err(|error| model_failure(&error))?;

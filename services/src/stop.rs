@@ -20,6 +20,8 @@ const SAME_REQUEST: Duration = Duration::from_millis(500);
 #[derive(Debug, Clone)]
 pub struct Stop {
     asked: Arc<AtomicBool>,
+    /// A signal ends the process at once.
+    at_once: Arc<AtomicBool>,
     /// `None` after a request: dropping the sender wakes the receivers of [`Stop::woken`].
     awake: Arc<Mutex<Option<Sender<Infallible>>>>,
     woken: Receiver<Infallible>,
@@ -36,7 +38,7 @@ impl Stop {
     #[must_use]
     pub fn new() -> Self {
         let (awake, woken) = bounded(0);
-        Self { asked: Arc::default(), awake: Arc::new(Mutex::new(Some(awake))), woken }
+        Self { asked: Arc::default(), at_once: Arc::default(), awake: Arc::new(Mutex::new(Some(awake))), woken }
     }
 
     /// A stop on SIGINT and SIGTERM. A further signal at least half a second later ends the process with the exit code `second_signal`.
@@ -67,6 +69,9 @@ impl Stop {
                     continue;
                 }
                 asked.request();
+                if asked.at_once.load(Ordering::SeqCst) {
+                    low_level::exit(0);
+                }
                 if first.get_or_insert_with(Instant::now).elapsed() >= SAME_REQUEST {
                     low_level::exit(i32::from(second_signal));
                 }
@@ -80,6 +85,15 @@ impl Stop {
     pub fn request(&self) {
         self.asked.store(true, Ordering::SeqCst);
         drop(self.awake.lock().unwrap_or_else(PoisonError::into_inner).take());
+    }
+
+    /// Runs `load`, which cannot be interrupted and has nothing to finish, such as loading a model: a signal ends the process at once, with exit
+    /// code 0. `None` if a stop was requested before.
+    pub fn while_loading<T>(&self, load: impl FnOnce() -> T) -> Option<T> {
+        self.at_once.store(true, Ordering::SeqCst);
+        let loaded = (!self.requested()).then(load);
+        self.at_once.store(false, Ordering::SeqCst);
+        loaded
     }
 
     /// A channel without messages that disconnects at a request: for a thread that waits for several things.

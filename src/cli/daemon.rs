@@ -44,7 +44,8 @@ pub fn run(args: &Args) -> CommandResult {
         return Err(Failure::new(exit_code::CONFIG, fault));
     }
     if !args.no_model {
-        model::try_configured(&config)?;
+        let Some(tried) = stop.while_loading(|| model::try_configured(&config)) else { return Ok(()) };
+        tried?;
     }
     let ended = if args.no_model {
         daemon::run_without_model(&config, &domain, &stop)

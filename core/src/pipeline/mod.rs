@@ -79,7 +79,8 @@ pub struct PipelineOptions {
     pub method: Method,
     /// How exact an answer is, under [`Method::Trie`]; the other methods are always exact.
     pub effort: Effort,
-    /// Time limit of a step under [`Effort::Deadline`], from its start, in nanoseconds.
+    /// Time limit of a step under [`Effort::Deadline`], from its start, in nanoseconds. If the model takes longer for the prompt alone, a step keeps
+    /// the last scores ([`Scores::is_cut`]), and the next step scores.
     pub deadline_ns: u64,
     /// Limits of each person's window.
     pub history: HistoryLimits,
@@ -125,8 +126,10 @@ pub struct Pipeline<M> {
     prompt: String,
     /// The person whose prompt was scored last.
     read: Option<PersonId>,
-    /// The model has not decoded all of that person's narration: the answer was prefetched, or the window was cut.
+    /// The model has not decoded all of that person's narration, because the answer was prefetched.
     is_unread: bool,
+    /// Duration of the last decoder call with a prompt.
+    prompt_ns: u64,
     /// Number of groundings so far; numbers the persons' scores.
     groundings: u64,
     heard: Sources,
@@ -168,6 +171,7 @@ impl<M: LanguageModel> Pipeline<M> {
             prompt: String::new(),
             read: None,
             is_unread: false,
+            prompt_ns: 0,
             groundings: 0,
             heard: Sources::default(),
             given: BTreeMap::new(),
@@ -319,13 +323,16 @@ impl<M: LanguageModel> Pipeline<M> {
         let mut timing = Timing::default();
         self.scores.stats = DecodeStats::default();
         (self.scores.prompt_tokens, self.scores.asked, self.scores.prepared) = (0, 0, 0);
+        self.scores.is_cut = self.is_cut();
         if self.persons.is_empty() {
             let mut nobody = std::mem::replace(&mut self.nobody, Person::new(PersonId(0)));
             let asked = if nobody.waits() { self.ask(&mut nobody, start, &mut timing) } else { Ok(()) };
             self.nobody = nobody;
             asked?;
         }
-        while let Some((place, voice)) = self.next_person() {
+        while !self.scores.is_cut
+            && let Some((place, voice)) = self.next_person()
+        {
             if self.scores.asked > 0 && now().saturating_sub(start) >= patience_ns {
                 break;
             }
@@ -361,6 +368,14 @@ impl<M: LanguageModel> Pipeline<M> {
         timing.total_ns = now().saturating_sub(start);
         self.scores.timing = timing;
         Ok(&self.scores)
+    }
+
+    /// Whether the model cannot read a prompt within the deadline, and all waiting persons have earlier scores. Never twice in succession.
+    fn is_cut(&self) -> bool {
+        let PipelineOptions { effort, deadline_ns, .. } = self.options;
+        let mut waiting = self.persons.iter().filter(|own| own.waits()).peekable();
+        let is_late = effort == Effort::Deadline && self.prompt_ns > deadline_ns && !self.scores.is_cut;
+        is_late && waiting.peek().is_some() && waiting.all(Person::is_scored)
     }
 
     /// Tokens decoded for a voice. A voice that was not waiting starts at the count of the voice that was served last.
@@ -410,6 +425,7 @@ impl<M: LanguageModel> Pipeline<M> {
             self.scorer.score(&self.prepared, &person.prompt, self.options.method, &mut person.scores)?;
         }
         person.due = Due::Grounding;
+        self.prompt_ns = person.scores.prefix_ns;
         timing.tokenise_ns += person.scores.tokenise_ns;
         timing.prefix_ns += person.scores.prefix_ns;
         timing.trie_ns += person.scores.trie_ns;
@@ -433,8 +449,14 @@ impl<M: LanguageModel> Pipeline<M> {
     }
 }
 
+/// Tokens of a sentence with its separator, for the memory of a usual window. The shipped programs need 8 on average, and 11 at most.
+const SENTENCE_TOKENS: usize = 12;
+
 /// Prepares the map's labels and returns them with the token limit of narration: `history_tokens`, or less if the labels and the binding sequence
-/// leave less of the model's context. Allocates only that much of the model's memory.
+/// leave less of the model's context.
+///
+/// This is the bound of the model's memory: narration, binding sequence and labels. A window of usual sentences is allocated now; for longer ones
+/// the model allocates more, up to the bound ([`LanguageModel::reserve`]).
 fn prepare<M: LanguageModel>(
     scorer: &mut Scorer<M>,
     grounding: &Grounding,
@@ -451,7 +473,9 @@ fn prepare<M: LanguageModel>(
         return Err(PipelineError::ContextTooSmall { context, needed });
     }
     let tokens = history_tokens.min(context - needed);
-    scorer.reserve(needed + tokens)?;
+    let HistoryLimits { observations, slack, .. } = options.history;
+    let usual = observations.saturating_add(slack).saturating_add(1).saturating_mul(SENTENCE_TOKENS);
+    scorer.reserve(needed + tokens.min(usual))?;
     scorer.learn_prior(&mut prepared)?;
     Ok((prepared, tokens))
 }

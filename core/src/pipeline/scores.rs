@@ -64,6 +64,8 @@ pub struct Scores {
     pub lower_log_score_nats: Vec<f64>,
     /// Certified upper bound of the score per partition in nats; equal to the score if exact.
     pub upper_log_score_nats: Vec<f64>,
+    /// The model takes longer for a prompt than [`super::PipelineOptions::deadline_ns`]: this step kept the last scores, without the waiting events.
+    pub is_cut: bool,
     /// Tokens of the prompts scored in this step.
     pub prompt_tokens: usize,
     /// Prompts scored in this step.

@@ -1,22 +1,30 @@
 //! From an event to its persons: the key, the name at the start of the text, or the joint filter.
 
-use roomcast_core::ids::{BootNs, PersonId};
+use std::collections::{BTreeMap, BTreeSet};
+
+use roomcast_core::grounding::Grounding;
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::forms::{self, COUNT_MAX, Subject};
 use roomcast_core::narration::{DeviceState, Event, Observation, Presence, SensorKind, Voice, same_name};
 use roomcast_core::scorer::LanguageModel;
-use roomcast_ipc::raw::RoomV1;
 
 use super::super::journal::Move;
 use super::super::person_question::{UnderstoodLine, UnderstoodPerson};
-use super::super::persons::LATE_NS;
+use super::super::persons::{LATE_NS, Persons};
 use super::super::sleep::{is_bed, sleeps};
-use super::super::understood::{By, Reason, Understood};
-use super::tracking::{Said, Tracking};
-use super::{Attributed, Board, NEAR_MISSES_LOGGED, STRANGE_ROOMS_LOGGED, Seen, room_named, rooms_alike, seconds};
+use super::super::understood::{By, Reason, Understood, UnderstoodEvents};
+use super::belief::Seen;
+use super::map_in_use::{MapInUse, rooms_alike};
+use super::records::Attributed;
+use super::tracking::Said;
+use super::{Board, seconds};
 use crate::config::May;
 
 /// A person takes an unnamed event above this share: more than one half, and no rounding.
 const HALF: f64 = 0.55;
+
+/// Most texts near a presence form that are logged, until a restart.
+const NEAR_MISSES_LOGGED: usize = 16;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in super::super) struct Reporter {
@@ -50,98 +58,51 @@ fn is_keyed(observation: &Observation) -> bool {
     observation.person != PersonId::SOMEBODY && !observation.by_fit || observation.name.is_some()
 }
 
-impl<M: LanguageModel> Board<M> {
-    /// Takes in an event and gives the part of each person to `enter`. Gives whether the event reads the same in any company, and otherwise its
-    /// moves, so that a restart does not read it again.
-    pub(super) fn attribute(
-        &mut self,
-        observation: Observation,
-        voice: Voice,
-        reporter: Reporter,
-        at_ns: Option<i64>,
-        mut enter: impl FnMut(&mut Self, Observation),
-    ) -> (bool, Vec<Move>) {
-        let mut moves = self.no_moves.pop().unwrap_or_default();
-        let mut understood = Understood::of(&observation);
-        let (who, event) = match self.read(&observation, reporter) {
-            Ok(read) => read,
-            Err(reason) => {
-                self.understood.add(understood.without_effect(reason));
-                return (false, moves);
-            }
-        };
-        let is_sensor = matches!(event, Event::Sensor(_));
-        let is_read_alone = who == Who::Key && event == observation.event && !is_sensor;
-        self.note_near_miss(&observation, &event);
-        understood.event = event.clone();
-        understood.by = match who {
-            Who::Key => By::Key,
-            Who::Named(..) => By::Name,
-            Who::Unknown(_) => By::Fit,
-            Who::House => By::House,
-        };
-        let observed = observation.event.clone();
-        let own = Observation { event, ..observation };
-        let weighed = self.weigh(&own, &who, reporter, at_ns);
-        let is_weighed = weighed == Weighed::Yes;
-        if let Event::Empty(_) = own.event {
-            if self.exclude(&own, reporter, at_ns) {
-                moves.push(Move::of_a_room(&own, &observed));
-            } else {
-                understood.reason = Some(Reason::Guarded);
-            }
-            self.understood.add(understood);
-            return (false, moves);
-        }
-        let mut take = |board: &mut Self, own: Observation| match board.take(own, voice, (reporter, false), at_ns) {
-            Ok(own) => {
-                understood.add_person(own.person);
-                if !is_read_alone {
-                    moves.push(Move::of(&own, &observed));
-                }
-                enter(board, own);
-            }
-            Err(reason) => understood.reason = Some(reason),
-        };
-        if who == Who::Key && !is_sensor {
-            let person = own.name.as_deref().map_or(own.person, |name| self.persons.number_of(name));
-            take(self, Observation { person, ..own });
-            self.understood.add(understood);
-            return (is_read_alone, moves);
-        }
-        let is_unnamed = is_sensor || matches!(who, Who::Unknown(_)) && !own.by_fit;
-        let parts = match (weighed, &who) {
-            (Weighed::Yes, Who::Unknown(count)) if is_unnamed => self.shares(&own, *count),
-            (Weighed::Yes, _) if is_sensor => self.shares(&own, 1),
-            (Weighed::Refused(_), _) if is_unnamed => Vec::new(),
-            _ if is_sensor => Vec::new(),
-            _ => self.each(own, &who, reporter),
-        };
-        let is_unclear = parts.is_empty() && !is_sensor && is_weighed;
-        parts.into_iter().for_each(|own| take(self, own));
-        if is_unclear {
-            understood.reason = Some(Reason::Unclear);
-        } else if let (Weighed::Refused(reason), true) = (weighed, is_unnamed) {
-            understood.reason = Some(reason);
-        }
-        let is_noted = is_sensor && !matches!(weighed, Weighed::Refused(_));
-        if (is_weighed || is_noted) && moves.is_empty() {
-            // A restart weighs it again.
-            moves.push(Move::of_nobody());
-        }
-        self.understood.add(understood);
-        (is_read_alone, moves)
+/// From an event to its persons: who is known, and what narrators may say.
+#[derive(Debug, Default)]
+pub(super) struct Attribution {
+    pub(super) persons: Persons,
+    /// The narrators of the configuration by source, and the events that each may send.
+    pub(super) named: BTreeMap<u64, May>,
+    understood: UnderstoodEvents,
+    /// Texts that resemble a presence form, once they were logged.
+    near_misses: BTreeSet<String>,
+}
+
+impl Attribution {
+    /// The narrator of an event. If the configuration names narrators, any other one may only send actions.
+    pub(super) fn reporter(&self, source: u64, is_unknown: bool) -> Reporter {
+        let may = if self.named.is_empty() { Some(May::ALL) } else { self.named.get(&source).copied() };
+        Reporter { is_unknown, may: may.filter(|_| !is_unknown).unwrap_or(May::DID) }
+    }
+
+    /// Whether the daemon learns habits of a person: not of visitors, and not of persons that only unknown narrators report.
+    pub(super) fn is_learned_of(&self, person: PersonId) -> bool {
+        !self.persons.is_visitor(person) && (self.named.is_empty() || self.persons.is_trusted(person))
+    }
+
+    /// Texts of others may name a forgotten person.
+    pub(super) fn forget_texts(&mut self) {
+        self.understood = UnderstoodEvents::default();
+        self.near_misses.clear();
+    }
+
+    pub(super) fn lose(&mut self, person: PersonId) {
+        self.persons.remove(person);
+        self.understood.forget(person);
     }
 
     /// How the events of a narrator's start were understood, from a sequence on.
-    #[must_use]
-    pub fn understood_lines(&mut self, source: u64, epoch: u64, from: u64) -> Vec<UnderstoodLine> {
-        let Self { understood, mentions, pipeline, map, persons, .. } = self;
-        let grounding = pipeline.grounding();
+    pub(super) fn lines(
+        &mut self,
+        (map, grounding): (&mut MapInUse, &Grounding),
+        (source, epoch, from): (u64, u64, u64),
+    ) -> Vec<UnderstoodLine> {
+        let Self { understood, persons, .. } = self;
         let line = |own: &Understood| {
-            let found = own.event.sentence().and_then(|text| mentions.last(text.as_str()));
+            let found = own.event.sentence().and_then(|text| map.matcher.last(text.as_str()));
             let thing = found.map(|found| grounding.scored_labels()[found.label].text.clone());
-            let room = own.event.room().and_then(|room| room_named(room, map, grounding));
+            let room = own.event.room().and_then(|room| map.room(room, grounding));
             let place = thing.or_else(|| room.map(|room| grounding.partitions()[room].id.clone()));
             let why = own.reason.map(Reason::text).or(match &own.event {
                 Event::Did(_) if place.is_none() => Some("the text names no place on the map"),
@@ -170,7 +131,12 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// The event as read, and its persons. The key is final; free text sets presence in the closed forms only.
-    fn read(&self, observation: &Observation, reporter: Reporter) -> Result<(Who, Event), Reason> {
+    fn read(
+        &self,
+        home: (&MapInUse, &Grounding),
+        observation: &Observation,
+        reporter: Reporter,
+    ) -> Result<(Who, Event), Reason> {
         let is_keyed = is_keyed(observation);
         let unknown = |count: u8| if is_keyed { Who::Key } else { Who::Unknown(count.clamp(1, COUNT_MAX)) };
         let Event::Did(sentence) = &observation.event else {
@@ -185,7 +151,7 @@ impl<M: LanguageModel> Board<M> {
         let text = sentence.as_str();
         if reporter.may.presence
             && observation.may_be_form
-            && let Some(read) = self.read_form(observation, text)
+            && let Some(read) = self.read_form(home, observation, text)
         {
             return Ok(read);
         }
@@ -207,14 +173,16 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// A text that is a presence form. A form about another person than the key is an action of the key's person.
-    fn read_form(&self, observation: &Observation, text: &str) -> Option<(Who, Event)> {
+    fn read_form(
+        &self,
+        (map, grounding): (&MapInUse, &Grounding),
+        observation: &Observation,
+        text: &str,
+    ) -> Option<(Who, Event)> {
         let key = || observation.name.as_deref().map_or(observation.person, |name| self.persons.number_of(name));
         let is_of_key = |name: &str| observation.name.as_deref().is_some_and(|own| same_name(own, name));
         let is_keyed = is_keyed(observation);
-        let grounding = self.pipeline.grounding();
-        let is_room = |room: &str| {
-            room_named(room, &self.map, grounding).is_some() || rooms_alike(room, grounding).next().is_some()
-        };
+        let is_room = |room: &str| map.room(room, grounding).is_some() || rooms_alike(room, grounding).next().is_some();
         let is_name = |name: &str| is_keyed && is_of_key(name) || self.persons.called(name).is_some();
         let (subject, event) = forms::read(text, is_name, is_room)?;
         let who = match subject {
@@ -250,6 +218,94 @@ impl<M: LanguageModel> Board<M> {
             );
         }
     }
+}
+
+impl<M: LanguageModel> Board<M> {
+    /// Takes in an event and gives the part of each person to `enter`. Gives whether the event reads the same in any company, and otherwise its
+    /// moves, so that a restart does not read it again.
+    pub(super) fn attribute(
+        &mut self,
+        observation: Observation,
+        voice: Voice,
+        reporter: Reporter,
+        at_ns: Option<i64>,
+        mut enter: impl FnMut(&mut Self, Observation),
+    ) -> (bool, Vec<Move>) {
+        let mut moves = self.records.no_moves();
+        let mut understood = Understood::of(&observation);
+        let (who, event) =
+            match self.attribution.read((&self.map, self.scoring.pipeline.grounding()), &observation, reporter) {
+                Ok(read) => read,
+                Err(reason) => {
+                    self.attribution.understood.add(understood.without_effect(reason));
+                    return (false, moves);
+                }
+            };
+        let is_sensor = matches!(event, Event::Sensor(_));
+        let is_read_alone = who == Who::Key && event == observation.event && !is_sensor;
+        self.attribution.note_near_miss(&observation, &event);
+        understood.event = event.clone();
+        understood.by = match who {
+            Who::Key => By::Key,
+            Who::Named(..) => By::Name,
+            Who::Unknown(_) => By::Fit,
+            Who::House => By::House,
+        };
+        let observed = observation.event.clone();
+        let own = Observation { event, ..observation };
+        let weighed = self.weigh(&own, &who, reporter, at_ns);
+        let is_weighed = weighed == Weighed::Yes;
+        if let Event::Empty(_) = own.event {
+            if self.exclude(&own, reporter, at_ns) {
+                moves.push(Move::of_a_room(&own, &observed));
+            } else {
+                understood.reason = Some(Reason::Guarded);
+            }
+            self.attribution.understood.add(understood);
+            return (false, moves);
+        }
+        let mut take = |board: &mut Self, own: Observation| match board.take(own, voice, (reporter, false), at_ns) {
+            Ok(own) => {
+                understood.add_person(own.person);
+                if !is_read_alone {
+                    moves.push(Move::of(&own, &observed));
+                }
+                enter(board, own);
+            }
+            Err(reason) => understood.reason = Some(reason),
+        };
+        if who == Who::Key && !is_sensor {
+            let person = own.name.as_deref().map_or(own.person, |name| self.attribution.persons.number_of(name));
+            take(self, Observation { person, ..own });
+            self.attribution.understood.add(understood);
+            return (is_read_alone, moves);
+        }
+        let is_unnamed = is_sensor || matches!(who, Who::Unknown(_)) && !own.by_fit;
+        let parts = match (weighed, &who) {
+            (Weighed::Yes, Who::Unknown(count)) if is_unnamed => self.shares(&own, *count),
+            (Weighed::Yes, _) if is_sensor => self.shares(&own, 1),
+            (Weighed::Refused(_), _) if is_unnamed => Vec::new(),
+            _ if is_sensor => Vec::new(),
+            _ => self.each(own, &who, reporter),
+        };
+        let is_unclear = parts.is_empty() && !is_sensor && is_weighed;
+        parts.into_iter().for_each(|own| take(self, own));
+        if is_unclear {
+            understood.reason = Some(Reason::Unclear);
+        } else if let (Weighed::Refused(reason), true) = (weighed, is_unnamed) {
+            understood.reason = Some(reason);
+        }
+        if is_sensor && is_weighed && self.belief.tracking.as_ref().is_some_and(|own| own.had_robot()) {
+            moves.push(Move::of_a_robot());
+        }
+        let is_noted = is_sensor && !matches!(weighed, Weighed::Refused(_));
+        if (is_weighed || is_noted) && moves.is_empty() {
+            // A restart weighs it again.
+            moves.push(Move::of_nobody());
+        }
+        self.attribution.understood.add(understood);
+        (is_read_alone, moves)
+    }
 
     /// The part of each person in an event that has one person at most.
     fn each(&mut self, own: Observation, who: &Who, reporter: Reporter) -> Vec<Observation> {
@@ -258,11 +314,16 @@ impl<M: LanguageModel> Board<M> {
             Who::Named(person, name) => vec![Observation { person: *person, name: Some(name.clone()), ..own }],
             Who::House => {
                 let away = Observation { event: Event::Away, ..own };
-                self.persons.everybody().into_iter().map(|person| Observation { person, ..away.clone() }).collect()
+                self.attribution
+                    .persons
+                    .everybody()
+                    .into_iter()
+                    .map(|person| Observation { person, ..away.clone() })
+                    .collect()
             }
             Who::Unknown(_) if own.by_fit => vec![own],
             Who::Unknown(count) => {
-                let mut persons = self.persons.unnamed(reporter.is_unknown);
+                let mut persons = self.attribution.persons.unnamed(reporter.is_unknown);
                 persons.truncate((*count).into());
                 self.note_attributed(&own, &persons);
                 persons.into_iter().map(|person| Observation { person, by_fit: true, ..own.clone() }).collect()
@@ -272,7 +333,46 @@ impl<M: LanguageModel> Board<M> {
 
     fn note_attributed(&mut self, own: &Observation, persons: &[PersonId]) {
         if let [person] = *persons {
-            self.attributed.push(Attributed { event: own.id(), person });
+            self.records.attributed.push(Attributed { event: own.id(), person });
+        }
+    }
+
+    /// How the events of a narrator's start were understood, from a sequence on.
+    #[must_use]
+    pub fn understood_lines(&mut self, source: u64, epoch: u64, from: u64) -> Vec<UnderstoodLine> {
+        self.attribution.lines((&mut self.map, self.scoring.pipeline.grounding()), (source, epoch, from))
+    }
+
+    /// Why the filter does not take an event: its person is guarded, or a newer event counts.
+    fn refusal(
+        &mut self,
+        own: &Observation,
+        who_is: Option<PersonId>,
+        reporter: Reporter,
+        at_ns: i64,
+    ) -> Option<Reason> {
+        let is_guarded = match who_is {
+            _ if !reporter.is_unknown => false,
+            Some(person) => {
+                self.attribution.persons.is_guarded(person, at_ns) || !self.attribution.persons.is_trusted(person)
+            }
+            None => self.attribution.persons.is_anybody_guarded(at_ns),
+        };
+        if is_guarded {
+            return Some(Reason::Guarded);
+        }
+        match (&own.event, who_is) {
+            // A device's own reports have their order.
+            (Event::Sensor(report), _) => self.belief.sensors.note((own.source, report), who_is, at_ns).err(),
+            (_, Some(person)) => {
+                let part = Observation { person, event: own.event.clone(), name: None, ..*own };
+                self.attribution.persons.is_outdated(&part, at_ns).then_some(Reason::Outdated)
+            }
+            // What an unknown person did long ago says nothing about the present.
+            (_, None) => {
+                let is_late = self.belief.tracking.as_ref().is_some_and(|own| own.is_older(at_ns, LATE_NS));
+                is_late.then_some(Reason::Outdated)
+            }
         }
     }
 
@@ -280,48 +380,28 @@ impl<M: LanguageModel> Board<M> {
     fn weigh(&mut self, own: &Observation, who: &Who, reporter: Reporter, at_ns: Option<i64>) -> Weighed {
         let Some(at_ns) = at_ns else { return Weighed::NotNeeded };
         let who_is = match who {
-            Who::Key => Some(own.name.as_deref().map_or(own.person, |name| self.persons.number_of(name))),
+            Who::Key => Some(own.name.as_deref().map_or(own.person, |name| self.attribution.persons.number_of(name))),
             Who::Named(person, _) => Some(*person),
             Who::Unknown(_) | Who::House => None,
         };
-        let is_guarded = match who_is {
-            _ if !reporter.is_unknown => false,
-            Some(person) => self.persons.is_guarded(person, at_ns) || !self.persons.is_trusted(person),
-            None => self.persons.is_anybody_guarded(at_ns),
-        };
-        if is_guarded {
-            return Weighed::Refused(Reason::Guarded);
-        }
-        let fault = match (&own.event, who_is) {
-            // A device's own reports have their order.
-            (Event::Sensor(report), _) => self.sensors.note((own.source, report), who_is, at_ns).err(),
-            (_, Some(person)) => {
-                let part = Observation { person, event: own.event.clone(), name: None, ..*own };
-                self.persons.is_outdated(&part, at_ns).then_some(Reason::Outdated)
-            }
-            // What an unknown person did long ago says nothing about the present.
-            (_, None) => {
-                let is_late = self.tracking.as_ref().is_some_and(|own| own.is_older(at_ns, LATE_NS));
-                is_late.then_some(Reason::Outdated)
-            }
-        };
-        if let Some(fault) = fault {
-            return Weighed::Refused(fault);
+        if let Some(reason) = self.refusal(own, who_is, reporter, at_ns) {
+            return Weighed::Refused(reason);
         }
         // The filter knows no rooms of a changed map before its first scores.
-        if self.next_rooms.is_some() {
+        if self.map.next_rooms.is_some() {
             return Weighed::NotNeeded;
         }
         let count = if let Who::Unknown(count) = who { *count } else { 0 };
-        let is_shared = count > 1 || count == 1 && self.persons.are_several(reporter.is_unknown);
-        if self.tracking.is_none() && (is_shared || !self.sensors.is_empty()) {
+        let is_shared = count > 1 || count == 1 && self.attribution.persons.are_several(reporter.is_unknown);
+        if self.belief.tracking.is_none() && (is_shared || !self.belief.sensors.is_empty()) {
             self.start_tracking(at_ns);
         }
-        if self.tracking.is_none() {
+        if self.belief.tracking.is_none() {
             return Weighed::NotNeeded;
         }
-        let mention = own.event.sentence().and_then(|text| self.mentions.last(text.as_str()));
-        let grounding = self.pipeline.grounding();
+        let reading = if reporter.is_unknown { None } else { self.reading(&own.event) };
+        let mention = own.event.sentence().and_then(|text| self.map.matcher.last(text.as_str()));
+        let grounding = self.scoring.pipeline.grounding();
         let row = mention.map(|found| {
             let fits = |room| {
                 let share = found.share(grounding, room);
@@ -331,47 +411,41 @@ impl<M: LanguageModel> Board<M> {
         });
         let room = match &own.event {
             Event::Did(_) => row.as_deref().and_then(likeliest),
-            event => event.room().and_then(|room| room_named(room, &self.map, grounding)),
+            event => event.room().and_then(|room| self.map.room(room, grounding)),
         };
         let text = own.event.sentence().map_or("", |text| text.as_str());
         let is_on_bed =
             mention.is_some_and(|found| !found.is_left && is_bed(&grounding.scored_labels()[found.label].text));
         let is_lying = sleeps(text).unwrap_or(is_on_bed);
-        let rooms = row.as_deref().unwrap_or_default();
+        let rooms = row.as_deref().or(reading.as_deref()).unwrap_or_default();
         let said = Said {
             event: &own.event,
             source: own.source,
             who: who_is,
             count,
             rooms,
+            is_named: row.is_some(),
             room,
             is_lying,
             is_strange: reporter.is_unknown,
+            robot: self.belief.restored_robot,
         };
-        let home = (&self.map, grounding);
-        let Some(tracking) = &mut self.tracking else { return Weighed::NotNeeded };
-        if count > 1 && !self.persons.has_residents() {
+        let home = (&self.map.map, grounding);
+        let Some(tracking) = &mut self.belief.tracking else { return Weighed::NotNeeded };
+        if count > 1 && !self.attribution.persons.has_residents() {
             // Nothing limits the number of persons.
-            for person in self.persons.unnamed(reporter.is_unknown).into_iter().take(count.into()) {
+            for person in self.attribution.persons.unnamed(reporter.is_unknown).into_iter().take(count.into()) {
                 tracking.index_of(person);
             }
         }
-        let is_taken = tracking.weigh(home, said, (at_ns, self.local_ahead_s));
+        let is_taken = tracking.weigh(home, said, (at_ns, self.belief.local_ahead_s));
         if tracking.is_stale() {
             // A device or its person changed; the filter starts again with its newest report.
             self.start_tracking(at_ns);
             return Weighed::NotNeeded;
         }
-        if let Event::Sensor(report) = &own.event
-            && let (SensorKind::Bed, Some(on), true) = (report.kind, report.on, is_taken)
-        {
-            let lies = |person: &PersonId| who_is.map_or_else(|| tracking.share(*person) > HALF, |own| own == *person);
-            let persons: Vec<PersonId> = tracking.persons().iter().copied().filter(lies).collect();
-            for person in persons {
-                if let Some(known) = self.persons.get_mut(person) {
-                    known.on_bed = on;
-                }
-            }
+        if is_taken {
+            self.note_bed(&own.event, who_is);
         }
         match own.event {
             _ if is_taken => Weighed::Yes,
@@ -380,26 +454,35 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Starts the joint filter with what the forecasters believe.
-    pub(super) fn start_tracking(&mut self, at_ns: i64) {
-        self.watch();
-        let persons = self.persons.followed();
-        if persons.is_empty() && self.sensors.is_empty() {
+    /// A bed's sensor says that its person lies or is up.
+    fn note_bed(&mut self, event: &Event, who_is: Option<PersonId>) {
+        let Event::Sensor(report) = event else { return };
+        let (SensorKind::Bed, Some(on), Some(tracking)) = (report.kind, report.on, &self.belief.tracking) else {
             return;
+        };
+        let lies = |person: &PersonId| who_is.map_or_else(|| tracking.share(*person) > HALF, |own| own == *person);
+        for person in tracking.persons().iter().filter(|person| lies(person)) {
+            if let Some(known) = self.attribution.persons.get_mut(*person) {
+                known.on_bed = on;
+            }
         }
-        let home = (&self.map, self.pipeline.grounding());
-        let of = (at_ns, self.local_ahead_s);
-        let is_lying = |person| self.persons.get(person).is_some_and(|known| known.on_bed);
-        let followed = (&self.followed, is_lying);
-        self.tracking = Tracking::new(home, persons.into_iter(), followed, &self.sensors, of).map(Box::new);
-        self.tell_robots(BootNs(at_ns.try_into().unwrap_or_default()));
     }
 
-    /// Weighs an event of a former run, which has stored its persons.
-    pub(super) fn weigh_again(&mut self, observation: &Observation, reporter: Reporter, at_ns: Option<i64>) {
-        if let Ok((who, event)) = self.read(observation, reporter) {
+    /// Weighs an event of a former run, which has stored its persons, and whether a robot explained it.
+    pub(super) fn weigh_again(
+        &mut self,
+        observation: &Observation,
+        reporter: Reporter,
+        at_ns: Option<i64>,
+        robot: bool,
+    ) {
+        if let Ok((who, event)) =
+            self.attribution.read((&self.map, self.scoring.pipeline.grounding()), observation, reporter)
+        {
             let own = Observation { event, name: observation.name.clone(), ..*observation };
+            self.belief.restored_robot = Some(robot);
             self.weigh(&own, &who, reporter, at_ns);
+            self.belief.restored_robot = None;
         }
     }
 
@@ -410,21 +493,21 @@ impl<M: LanguageModel> Board<M> {
         const OUT: (f64, f64) = (0.9, 0.1);
         /// The device belongs to the person.
         const SURE: f64 = 0.999;
-        let Some(tracking) = &self.tracking else { return Vec::new() };
-        let grounding = self.pipeline.grounding();
+        let Some(tracking) = &self.belief.tracking else { return Vec::new() };
+        let grounding = self.scoring.pipeline.grounding();
         let room = match &own.event {
             Event::Sensor(report) if report.kind == SensorKind::Door || report.on != Some(true) => None,
             Event::Sensor(report) => report.room.as_ref(),
             Event::Present(room) => room.as_ref(),
             _ => None,
         };
-        let place = room.and_then(|room| room_named(room.as_str(), &self.map, grounding));
+        let place = room.and_then(|room| self.map.room(room.as_str(), grounding));
         let counted = tracking.room().filter(|_| count > 1);
         let is_counted = |person: PersonId| counted.is_some() && tracking.probability(person, counted) > 0.5;
         let part = |person: &PersonId| {
             let person = *person;
             let out = tracking.probability(person, None);
-            let presence = self.persons.get(person).map_or(Presence::Unknown, |known| known.presence);
+            let presence = self.attribution.persons.get(person).map_or(Presence::Unknown, |known| known.presence);
             let is_theirs = tracking.share(person) > HALF || is_counted(person);
             let is_here = place.is_some_and(|room| tracking.probability(person, Some(room)) > 0.5);
             let event = match &own.event {
@@ -442,10 +525,10 @@ impl<M: LanguageModel> Board<M> {
             };
             Some(Observation { person, name: None, by_fit: true, event, ..*own })
         };
-        let followed = self.persons.followed();
+        let followed = self.attribution.persons.followed();
         let persons = tracking.persons().iter().filter(|person| followed.contains(person) || count > 1);
         let parts: Vec<Observation> = persons.filter_map(part).collect();
-        let unknown = |person: &PersonId| self.persons.get(*person).is_none() && !followed.contains(person);
+        let unknown = |person: &PersonId| self.attribution.persons.get(*person).is_none() && !followed.contains(person);
         let took_part = |person: &PersonId| parts.iter().any(|own| own.person == *person);
         let idle: Vec<PersonId> =
             tracking.persons().iter().copied().filter(|person| unknown(person) && !took_part(person)).collect();
@@ -455,7 +538,7 @@ impl<M: LanguageModel> Board<M> {
             let person = only.person;
             self.note_attributed(own, &[person]);
         }
-        if let Some(tracking) = &mut self.tracking {
+        if let Some(tracking) = &mut self.belief.tracking {
             idle.into_iter().for_each(|person| tracking.remove(person));
         }
         parts
@@ -479,40 +562,42 @@ impl<M: LanguageModel> Board<M> {
         (reporter, was_taken): (Reporter, bool),
         at_ns: Option<i64>,
     ) -> Result<Observation, Reason> {
-        if !was_taken && reporter.is_unknown && self.persons.is_guarded(observation.person, at_ns.unwrap_or_default()) {
+        if !was_taken
+            && reporter.is_unknown
+            && self.attribution.persons.is_guarded(observation.person, at_ns.unwrap_or_default())
+        {
             return Err(Reason::Guarded);
         }
-        let at_ns = at_ns.map(|at_ns| self.persons.in_order(&observation, at_ns));
+        let at_ns = at_ns.map(|at_ns| self.attribution.persons.in_order(&observation, at_ns));
         let noted_ns = at_ns.unwrap_or_default();
         // After such a silence a visitor was gone, although no step noticed it.
-        if self.persons.has_expired(observation.person, noted_ns) {
+        if self.attribution.persons.has_expired(observation.person, noted_ns) {
             self.watch();
-            self.persons.remove(observation.person);
+            self.attribution.persons.remove(observation.person);
             self.drop_person(observation.person);
         }
-        if !was_taken && at_ns.is_some_and(|at_ns| self.persons.is_outdated(&observation, at_ns)) {
+        if !was_taken && at_ns.is_some_and(|at_ns| self.attribution.persons.is_outdated(&observation, at_ns)) {
             return Err(Reason::Outdated);
         }
-        if let Some(dropped) = self.persons.note(&observation, voice, noted_ns) {
+        if let Some(dropped) = self.attribution.persons.note(&observation, voice, noted_ns) {
             self.drop_person(dropped);
         }
         if !reporter.is_unknown {
-            self.persons.guard(observation.person, noted_ns);
+            self.attribution.persons.guard(observation.person, noted_ns);
         }
-        if !self.rescored.contains(&observation.person) {
-            self.rescored.push(observation.person);
-        }
+        self.scoring.rescore(observation.person);
         if let Event::Present(Some(room)) = &observation.event {
-            let room = room.clone();
-            self.note_room(room.as_str());
+            self.map.note_room(room.as_str(), self.scoring.pipeline.grounding());
         }
         let Some(at_ns) = at_ns else { return Ok(observation) };
-        self.seen.push_back(Seen {
+        self.belief.see(Seen {
             name: observation.id(),
             person: observation.person,
             at_ns,
             event: observation.event.clone(),
             is_off: observation.by_fit && is_off(&observation.event),
+            is_read: !reporter.is_unknown && matches!(observation.event, Event::Did(_)),
+            rooms: None,
         });
         Ok(observation)
     }
@@ -520,37 +605,23 @@ impl<M: LanguageModel> Board<M> {
     /// Takes the event that a room is empty into the forecasts. Gives whether the daemon believes it.
     pub(super) fn exclude(&mut self, observation: &Observation, reporter: Reporter, at_ns: Option<i64>) -> bool {
         let Event::Empty(empty) = &observation.event else { return false };
-        if reporter.is_unknown && self.persons.is_anybody_guarded(at_ns.unwrap_or_default()) {
+        if reporter.is_unknown && self.attribution.persons.is_anybody_guarded(at_ns.unwrap_or_default()) {
             return false;
         }
-        self.note_room(empty.as_str());
+        self.map.note_room(empty.as_str(), self.scoring.pipeline.grounding());
         // The belief has no rooms of a changed map yet.
-        let (Some(at_ns), None) = (at_ns, &self.next_rooms) else { return true };
+        let (Some(at_ns), None) = (at_ns, &self.map.next_rooms) else { return true };
         // Earlier events come first.
         self.follow();
-        if let Some(room) = room_named(empty.as_str(), &self.map, self.pipeline.grounding()) {
+        if let Some(room) = self.map.room(empty.as_str(), self.scoring.pipeline.grounding()) {
             let name = observation.id();
-            let mut followed = std::mem::take(&mut self.followed);
-            for (person, own) in &mut followed {
+            for (person, own) in &mut self.belief.followed {
                 own.exclude(seconds(at_ns), room);
-                self.home.next_is(name, *person, self.is_learned_of(*person));
+                self.home.next_is(name, *person, self.attribution.is_learned_of(*person));
                 self.home.is_empty(*person, at_ns, room, own);
             }
-            self.followed = followed;
         }
         true
-    }
-
-    fn note_room(&mut self, room: &str) {
-        let is_unknown = self.next_rooms.is_none() && room_named(room, &self.map, self.pipeline.grounding()).is_none();
-        if is_unknown && self.strange_rooms.len() < STRANGE_ROOMS_LOGGED && self.strange_rooms.insert(room.to_owned()) {
-            let rooms = self.snapshot.rooms().iter().map(RoomV1::id).collect::<Vec<_>>().join(", ");
-            tracing::warn!(
-                room,
-                rooms,
-                "a narrator names a room that the map does not have, or of which it has several: the person counts as present, in no room in particular, or in any of these; correct the narrator, with a room's id, or the scene"
-            );
-        }
     }
 }
 
@@ -567,7 +638,7 @@ fn kind(event: &Event) -> &'static str {
 }
 
 /// Whether an event says that a device is off or done: the device may have done that by itself, so it says nothing about a place.
-fn is_off(event: &Event) -> bool {
+pub(super) fn is_off(event: &Event) -> bool {
     const OFF: [&str; 6] = ["off", "closed", "locked", "done", "finished", "idle"];
     let device = event.sentence().and_then(|sentence| DeviceState::parse(sentence.as_str()));
     device.is_some_and(|device| OFF.contains(&device.state.as_str()))

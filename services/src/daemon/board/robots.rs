@@ -7,7 +7,8 @@ use roomcast_core::scorer::LanguageModel;
 use roomcast_core::tracker::{Home, ROBOT_SILENT_S};
 use roomcast_ipc::raw::{DecisionV1, RobotReportV1, action, report_kind};
 
-use super::{Board, room_named};
+use super::Board;
+use super::belief::Belief;
 
 /// Most robots; reports of further ones explain nothing.
 const ROBOTS_MAX: usize = 16;
@@ -83,15 +84,15 @@ impl<M: LanguageModel> Board<M> {
         if is_bare || report.is_order() {
             return;
         }
-        let grounding = self.pipeline.grounding();
+        let grounding = self.scoring.pipeline.grounding();
         let named = Some(report.room()).filter(|room| !room.is_empty());
-        let named = named.and_then(|room| room_named(room, &self.map, grounding));
+        let named = named.and_then(|room| self.map.room(room, grounding));
         let holds = |position: [f64; 3]| {
             let mut rooms = grounding.partitions().iter();
             rooms.position(|room| room.spaces.iter().any(|space| space.contains(&position)))
         };
         let room = named.or_else(|| report.position_m().and_then(holds));
-        let Some(robot) = self.robots.get(report.robot) else { return };
+        let Some(robot) = self.belief.robots.get(report.robot) else { return };
         let before = *robot;
         (robot.heard_ns, robot.reports) = (now_ns, true);
         robot.room = room.or(if report.kind == report_kind::STARTED { robot.to } else { None }).or(robot.room);
@@ -104,14 +105,14 @@ impl<M: LanguageModel> Board<M> {
         if robot.room == robot.to {
             robot.to = None;
         }
-        if !before.is_alike(robot) || now_ns.since(self.robots.told_ns) > AGAIN_NS {
-            self.tell_robots(now_ns);
+        if !before.is_alike(robot) || now_ns.since(self.belief.robots.told_ns) > AGAIN_NS {
+            self.belief.tell_robots(now_ns);
         }
     }
 
     pub(in crate::daemon) fn see_decision(&mut self, decision: &DecisionV1, now_ns: BootNs) {
-        let to = room_named(decision.to(), &self.map, self.pipeline.grounding());
-        let Some(robot) = self.robots.get(decision.robot) else { return };
+        let to = self.map.room(decision.to(), self.scoring.pipeline.grounding());
+        let Some(robot) = self.belief.robots.get(decision.robot) else { return };
         let before = *robot;
         robot.heard_ns = now_ns;
         if decision.action == action::GO {
@@ -119,11 +120,13 @@ impl<M: LanguageModel> Board<M> {
         } else {
             (robot.to, robot.stands) = (None, true);
         }
-        if !before.is_alike(robot) || now_ns.since(self.robots.told_ns) > AGAIN_NS {
-            self.tell_robots(now_ns);
+        if !before.is_alike(robot) || now_ns.since(self.belief.robots.told_ns) > AGAIN_NS {
+            self.belief.tell_robots(now_ns);
         }
     }
+}
 
+impl Belief {
     pub(super) fn tell_robots(&mut self, now_ns: BootNs) {
         self.robots.told_ns = now_ns;
         if let Some(tracking) = &mut self.tracking {

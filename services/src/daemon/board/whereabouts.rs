@@ -5,7 +5,8 @@ use roomcast_core::scorer::LanguageModel;
 use roomcast_core::tracker::Cause;
 
 use super::super::person_question::{NoisySensor, PlaceLine, UnderstoodPerson, Whereabouts, WhyLine};
-use super::{Board, Tracking, seconds};
+use super::tracking::Tracking;
+use super::{Board, seconds};
 use crate::habits_reason::ELSEWHERE;
 
 /// Less probable places are left out.
@@ -17,10 +18,15 @@ impl<M: LanguageModel> Board<M> {
     /// Where a person is believed to be at a time, and why.
     pub(in crate::daemon) fn whereabouts(&mut self, person: PersonId, now_ns: BootNs) -> Whereabouts {
         self.forecast(now_ns);
-        let rooms: Vec<String> = self.snapshot.rooms().iter().map(|room| room.id().to_owned()).collect();
+        let rooms: Vec<String> = self.publication.snapshot.rooms().iter().map(|room| room.id().to_owned()).collect();
         let now_s = now_ns.seconds();
-        let own = self.told.get(&person).filter(|_| self.tracking.is_some()).or_else(|| self.followed.get(&person));
-        let tracking = self.tracking.as_deref();
+        let own = self
+            .belief
+            .told
+            .get(&person)
+            .filter(|_| self.belief.tracking.is_some())
+            .or_else(|| self.belief.followed.get(&person));
+        let tracking = self.belief.tracking.as_deref();
         let mut places: Vec<PlaceLine> = Vec::new();
         for (room, id) in rooms.iter().map(String::as_str).chain([ELSEWHERE]).enumerate() {
             let probability = match own {
@@ -41,7 +47,8 @@ impl<M: LanguageModel> Board<M> {
         Whereabouts {
             person: self.called(person),
             places,
-            house_empty: filter.map_or_else(|| f64::from(self.forecast.elsewhere[0]), |own| own.house_empty()),
+            house_empty: filter
+                .map_or_else(|| f64::from(self.publication.forecast.elsewhere[0]), |own| own.house_empty()),
             visited: filter.map_or(0.0, |own| own.visited()),
             is_joint: tracking.is_some(),
             noisy: tracking.map(|own| own.noisy().map(noisy).collect()).unwrap_or_default(),
@@ -49,7 +56,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     fn called(&self, person: PersonId) -> UnderstoodPerson {
-        UnderstoodPerson { person, name: self.persons.name_of(person).map(str::to_owned) }
+        UnderstoodPerson { person, name: self.attribution.persons.name_of(person).map(str::to_owned) }
     }
 
     fn why(&self, tracking: &Tracking, person: PersonId, room: Option<usize>, now_ns: BootNs) -> Vec<WhyLine> {

@@ -1,14 +1,16 @@
-//! The board's messages: scores, forecasts and items.
+//! The published messages: scores, forecasts and items.
 
 use std::cmp::Reverse;
+use std::collections::BTreeMap;
 
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Partition;
-use roomcast_core::ids::{BootNs, PersonId};
+use roomcast_core::ids::{BootNs, PersonId, UnixNs};
 use roomcast_core::narration::Presence;
-use roomcast_core::pipeline::Included;
+use roomcast_core::pipeline::{Included, Pipeline};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::certified::Effort;
+use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::raw::{
     ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, LEARNED_SHARE_S, MAX_HORIZONS, MAX_ITEMS,
     MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, NO_PARTITION, PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1,
@@ -16,29 +18,98 @@ use roomcast_ipc::raw::{
 };
 use roomcast_ipc::text;
 
-use super::{Board, BoardError, HORIZONS_S, HomeHabits};
-use crate::daemon::persons::{message_ns, presence_value};
+use super::belief::Belief;
+use super::{BoardError, HORIZONS_S, HomeHabits};
+use crate::daemon::persons::{Persons, message_ns, presence_value};
 
 /// The house counts as empty above this probability.
 const SURELY_EMPTY: f64 = 0.9;
 
-impl<M: LanguageModel> Board<M> {
-    /// The forecast from `now_ns` on, for `HORIZONS_S`: per room the probability that at least one person is in it. Without an event all rooms are
-    /// equally likely, and a flag says so.
-    pub fn forecast(&mut self, now_ns: BootNs) -> &ForecastV1 {
-        self.watch();
-        self.track(now_ns);
-        let tracker = self.tracking.as_ref().map(|own| own.now());
+#[derive(Debug)]
+pub(super) struct Publication {
+    pub(super) snapshot: RoomScoresV1,
+    /// Values beyond the rooms and horizons stay zero.
+    pub(super) forecast: Box<ForecastV1>,
+    /// Of the same step as the snapshot.
+    pub(super) person_scores: Box<PersonScoresV1>,
+    /// Values beyond the rooms and horizons stay zero.
+    person_forecasts: Box<PersonForecastsV1>,
+    /// Working memory: the sources in the order of the message, each with the number of newer ones of the same quota.
+    newest_sources: Vec<(usize, Included)>,
+    /// Working memory: the time of each person's newest event, and the person.
+    newest_persons: Vec<(i64, PersonId)>,
+    /// The newest turn of a source in published scores.
+    named_turn: u64,
+}
+
+impl Publication {
+    pub(super) fn new<M: LanguageModel>(
+        pipeline: &Pipeline<M>,
+        map: &SemanticMap,
+        epoch: u64,
+    ) -> Result<Self, BoardError> {
+        let (room, room_count) = named_rooms(pipeline.grounding().partitions())?;
+        let snapshot = RoomScoresV1 {
+            epoch,
+            model_fingerprint: pipeline.inside().model().fingerprint,
+            map_fingerprint: map.fingerprint(),
+            room_count,
+            room,
+            reached: reached::EXACT,
+            ..Default::default()
+        };
+        Ok(Self {
+            snapshot,
+            forecast: Box::default(),
+            person_scores: Box::default(),
+            person_forecasts: Box::default(),
+            newest_sources: Vec::new(),
+            newest_persons: Vec::new(),
+            named_turn: 0,
+        })
+    }
+
+    /// A changed map has its first scores.
+    pub(super) fn change_map(&mut self, fingerprint: [u8; 32], (room, room_count): NamedRooms) {
+        self.snapshot.map_fingerprint = fingerprint;
+        (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
+        *self.forecast = ForecastV1::default();
+    }
+
+    /// Gives the snapshot the number and times of a step. `received_ns`: when its oldest newly scored event was received.
+    pub(super) fn number(
+        &mut self,
+        (now_ns, now_unix_ns): (BootNs, UnixNs),
+        received_ns: Option<BootNs>,
+        after_gap: bool,
+    ) {
+        let snapshot = &mut self.snapshot;
+        snapshot.sequence += 1;
+        (snapshot.computed_ns, snapshot.computed_unix_ns) = (now_ns.0, now_unix_ns.0);
+        snapshot.received_ns = received_ns.map_or(snapshot.received_ns, |received_ns| received_ns.0);
+        snapshot.wait_ns = received_ns.map_or(0, |received_ns| now_ns.since(received_ns));
+        snapshot.flags = if after_gap { score_flags::GAP } else { 0 };
+    }
+
+    /// The forecast of the house from `now_ns` on.
+    pub(super) fn forecast(
+        &mut self,
+        belief: &Belief,
+        known_persons: &Persons,
+        home: &mut HomeHabits,
+        now_ns: BootNs,
+    ) -> &ForecastV1 {
+        let tracker = belief.tracking.as_ref().map(|own| own.now());
         let (message, rooms) = (&mut *self.forecast, self.snapshot.rooms());
         (message.epoch, message.sequence) = (self.snapshot.epoch, self.snapshot.sequence);
         (message.computed_ns, message.published_ns) = (now_ns.0, now_ns.0);
         (message.room_count, message.person) = (self.snapshot.room_count, self.snapshot.person);
         (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
         (message.minor, message.flags) = (2, 0);
-        let persons = || self.persons.iter().filter(|(_, known)| known.presence != Presence::Gone);
-        let followed = if tracker.is_some() { &self.told } else { &self.followed };
+        let persons = || known_persons.iter().filter(|(_, known)| known.presence != Presence::Gone);
+        let followed = belief.forecasters();
         // A resident without an event may be anywhere, also out.
-        let not_known = self.followed.is_empty() || self.persons.is_anybodys_guess();
+        let not_known = belief.followed.is_empty() || known_persons.is_anybodys_guess();
         if not_known {
             message.flags |= forecast_flags::NOT_KNOWN;
         }
@@ -46,7 +117,7 @@ impl<M: LanguageModel> Board<M> {
             message.flags |= forecast_flags::RESTORED;
         }
         // Persons outside the joint filter count by their own forecasts.
-        let tracking = self.tracking.as_deref();
+        let tracking = belief.tracking.as_deref();
         let untracked: Vec<&Forecaster> = match tracking {
             Some(own) => followed.iter().filter(|(person, _)| !own.follows(**person)).map(|(_, own)| own).collect(),
             None => Vec::new(),
@@ -54,11 +125,11 @@ impl<M: LanguageModel> Board<M> {
         let now_s = now_ns.seconds();
         let others_out: f64 = untracked.iter().map(|own| own.elsewhere(now_s, 0.0)).product();
         let is_empty =
-            tracker.map_or(self.persons.nobody_is_home(), |own| own.house_empty() * others_out > SURELY_EMPTY);
+            tracker.map_or(known_persons.nobody_is_home(), |own| own.house_empty() * others_out > SURELY_EMPTY);
         if is_empty && !not_known {
             message.flags |= forecast_flags::NOBODY_HOME;
         }
-        if !not_known && self.persons.misses_residents() {
+        if !not_known && known_persons.misses_residents() {
             message.flags |= forecast_flags::RESIDENT_UNKNOWN;
         }
         for (id, room) in message.id.iter_mut().zip(rooms) {
@@ -68,24 +139,7 @@ impl<M: LanguageModel> Board<M> {
         for own in &untracked {
             others_free.iter_mut().zip(own.at(now_s, 0.0)).for_each(|(free, p)| *free *= 1.0 - p);
         }
-        let mut free = [[1.0; MAX_ROOMS]; MAX_HORIZONS];
-        let mut elsewhere = [1.0; MAX_HORIZONS];
-        // The joint belief differs from the product of the persons' beliefs by the persons' dependence that remains at the horizon.
-        let mut common = [1.0; MAX_HORIZONS];
-        for (person, own) in followed {
-            let by_habit = self.home.forecast(*person, own, now_ns, &HORIZONS_S);
-            for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
-                common[place] *= own.stays(now_s, f64::from(*horizon_s));
-                let free = free[place].iter_mut();
-                if let Some((gone, known)) = by_habit.and_then(|rows| row(rows, place)?.split_last()) {
-                    free.zip(known).for_each(|(free, p)| *free *= 1.0 - p);
-                    elsewhere[place] *= gone;
-                } else {
-                    free.zip(own.at(now_s, f64::from(*horizon_s))).for_each(|(free, p)| *free *= 1.0 - p);
-                    elsewhere[place] *= own.elsewhere(now_s, f64::from(*horizon_s));
-                }
-            }
-        }
+        let Independent { free, elsewhere, common } = Independent::of(followed, home, now_ns);
         for place in 0..MAX_HORIZONS {
             let joint = |of: f64, now: f64, own: f64| (own + common[place] * (of - now)).clamp(0.0, 1.0);
             for (room, row) in message.probability.iter_mut().enumerate().take(rooms.len()) {
@@ -108,23 +162,16 @@ impl<M: LanguageModel> Board<M> {
         message
     }
 
-    /// Advances the joint filter, and gives each forecaster its belief.
-    fn track(&mut self, now_ns: BootNs) {
-        let Some(tracking) = &mut self.tracking else { return };
-        tracking.look(i64::try_from(now_ns.0).unwrap_or(i64::MAX), self.local_ahead_s);
-        self.told.retain(|person, _| self.followed.contains_key(person));
-        for (person, own) in &self.followed {
-            let told = self.told.entry(*person).or_insert_with(|| own.clone());
-            tracking.tell(*person, own, told);
-        }
-    }
-
-    /// Each person's forecast, as [`Board::forecast`], of at most [`MAX_PERSONS`].
-    pub fn person_forecasts(&mut self, now_ns: BootNs) -> &PersonForecastsV1 {
-        self.watch();
-        self.track(now_ns);
+    /// Each person's forecast from `now_ns` on.
+    pub(super) fn person_forecasts(
+        &mut self,
+        belief: &Belief,
+        known_persons: &Persons,
+        home: &mut HomeHabits,
+        now_ns: BootNs,
+    ) -> &PersonForecastsV1 {
         let signed_ns = i64::try_from(now_ns.0).unwrap_or(i64::MAX);
-        let followed = if self.tracking.is_some() { &self.told } else { &self.followed };
+        let followed = belief.forecasters();
         let (message, scores) = (&mut *self.person_forecasts, &self.person_scores);
         (message.epoch, message.sequence) = (self.snapshot.epoch, self.snapshot.sequence);
         (message.computed_ns, message.published_ns, message.minor) = (now_ns.0, now_ns.0, 1);
@@ -134,12 +181,12 @@ impl<M: LanguageModel> Board<M> {
         let (rooms, now_s) = (scores.room_count as usize, now_ns.seconds());
         let mut places = message.person.iter_mut();
         for (person, place) in scores.persons().iter().map(|scores| PersonId(scores.person)).zip(&mut places) {
-            let name = self.persons.name_bytes(person);
+            let name = known_persons.name_bytes(person);
             *place = PersonForecastV1 { person: person.0, name, ..PersonForecastV1::default() };
-            let presence = self.persons.get(person).map_or(Presence::Gone, |known| known.presence);
-            (place.presence, place.flags) = (presence_value(presence), self.persons.flags(person, signed_ns));
+            let presence = known_persons.get(person).map_or(Presence::Gone, |known| known.presence);
+            (place.presence, place.flags) = (presence_value(presence), known_persons.flags(person, signed_ns));
             let own = followed.get(&person);
-            let rows = own.and_then(|own| self.home.forecast(person, own, now_ns, &HORIZONS_S));
+            let rows = own.and_then(|own| home.forecast(person, own, now_ns, &HORIZONS_S));
             let by_habit = rows.is_some();
             for (horizon, horizon_s) in HORIZONS_S.iter().enumerate() {
                 if let Some((gone, known)) = rows.and_then(|rows| row(rows, horizon)?.split_last()) {
@@ -163,20 +210,17 @@ impl<M: LanguageModel> Board<M> {
                     row[horizon] = probability.clamp(0.0, 1.0) as f32;
                 }
             }
-            place.observations = self.home.observations_of(person) as f32;
+            place.observations = home.observations_of(person) as f32;
             if by_habit {
-                write_learned(&self.home, person, place);
+                write_learned(home, person, place);
             }
         }
         places.for_each(|place| *place = PersonForecastV1::default());
         message
     }
 
-    /// The scores of the last good step as a message to send at `now_ns`; `heartbeat` if they are unchanged.
-    pub fn message(&mut self, now_ns: BootNs, heartbeat: bool, behind: bool) -> &RoomScoresV1 {
-        // `SCORER_FAILED` covers this case.
-        let waits = !self.snapshot.has(score_flags::SCORER_FAILED) && self.pipeline.inside().is_behind();
-        let behind = behind || waits;
+    /// The snapshot as a message to send at `now_ns`.
+    pub(super) fn message(&mut self, now_ns: BootNs, heartbeat: bool, behind: bool) -> &RoomScoresV1 {
         let message = &mut self.snapshot;
         message.published_ns = now_ns.0;
         message.flags &= !(score_flags::HEARTBEAT | score_flags::BEHIND);
@@ -185,35 +229,34 @@ impl<M: LanguageModel> Board<M> {
         message
     }
 
-    /// Each person's scores of the last good step as a message to send at `now_ns`, of at most [`MAX_PERSONS`].
-    pub fn person_scores(&mut self, now_ns: BootNs) -> &PersonScoresV1 {
-        self.watch();
+    /// Each person's scores as a message to send at `now_ns`.
+    pub(super) fn person_scores(&mut self, known_persons: &Persons, now_ns: BootNs) -> &PersonScoresV1 {
         let message = &mut *self.person_scores;
         message.published_ns = now_ns.0;
         let now_ns = i64::try_from(now_ns.0).unwrap_or(i64::MAX);
         for person in message.person.iter_mut().take(message.person_count as usize) {
             let id = PersonId(person.person);
-            person.flags = self.persons.flags(id, now_ns);
-            person.name = self.persons.name_bytes(id);
+            person.flags = known_persons.flags(id, now_ns);
+            person.name = known_persons.name_bytes(id);
         }
         message
     }
 
-    /// The scores of the last step's best items, at most [`MAX_ITEMS`], with the header that ties them to the snapshot. `None` while a changed map
-    /// waits for its first scores.
-    pub fn items(&self) -> Option<(ItemScoresHeaderV1, impl ExactSizeIterator<Item = ItemScoreV1> + '_)> {
-        if self.next_rooms.is_some() {
-            return None;
-        }
+    /// The scores of the best items, with the header that ties them to the snapshot.
+    pub(super) fn items<'a, M: LanguageModel>(
+        &self,
+        map: &'a SemanticMap,
+        pipeline: &'a Pipeline<M>,
+    ) -> (ItemScoresHeaderV1, impl ExactSizeIterator<Item = ItemScoreV1> + 'a) {
         let RoomScoresV1 { epoch, sequence, computed_ns, .. } = self.snapshot;
-        let items = self.map.items().len() as u32;
+        let items = map.items().len() as u32;
         let header = ItemScoresHeaderV1 { epoch, sequence, computed_ns, minor: 1, items, ..Default::default() };
-        let mut counts = vec![0_u32; self.map.labels().len()];
-        for item in self.map.items() {
+        let mut counts = vec![0_u32; map.labels().len()];
+        for item in map.items() {
             counts[item.label.0 as usize] += 1;
         }
-        let grounding = self.pipeline.grounding();
-        let scores: Vec<f64> = grounding.item_log_score_nats(&self.pipeline.scores().label_log_prob_nats).collect();
+        let grounding = pipeline.grounding();
+        let scores: Vec<f64> = grounding.item_log_score_nats(&pipeline.scores().label_log_prob_nats).collect();
         let mut chosen: Vec<usize> = (0..scores.len()).collect();
         if chosen.len() > MAX_ITEMS {
             chosen.select_nth_unstable_by(MAX_ITEMS, |a, b| scores[*b].total_cmp(&scores[*a]).then(a.cmp(b)));
@@ -221,20 +264,21 @@ impl<M: LanguageModel> Board<M> {
             chosen.sort_unstable();
         }
         let items = chosen.into_iter().map(move |place| {
-            let item = &self.map.items()[place];
+            let item = &map.items()[place];
             ItemScoreV1 {
                 id: text::encode_cut(&item.id),
-                label: text::encode_cut(&self.map.labels()[item.label.0 as usize]),
+                label: text::encode_cut(&map.labels()[item.label.0 as usize]),
                 log_score_nats: scores[place],
                 partition: grounding.item_partition()[place].map_or(NO_PARTITION, |partition| partition.0),
                 label_items: counts[item.label.0 as usize],
             }
         });
-        Some((header, items))
+        (header, items)
     }
 
-    pub(super) fn fill(&mut self) {
-        let scores = self.pipeline.scores();
+    /// Fills the snapshot and the persons' scores after a step.
+    pub(super) fn fill<M: LanguageModel>(&mut self, pipeline: &Pipeline<M>, known_persons: &mut Persons) {
+        let scores = pipeline.scores();
         let snapshot = &mut self.snapshot;
         let grounded = &scores.grounded;
         let values = grounded.partition_log_score_nats.iter().zip(&grounded.partition_probability);
@@ -256,13 +300,13 @@ impl<M: LanguageModel> Board<M> {
         snapshot.trie_ns = scores.timing.trie_ns;
         snapshot.ground_ns = scores.timing.ground_ns;
 
-        let (persons, present) = self.persons.count();
-        let shown = || self.pipeline.persons().filter(|own| own.at_home || present == 0).map(|own| own.person);
+        let (persons, present) = known_persons.count();
+        let shown = || pipeline.persons().filter(|own| own.at_home || present == 0).map(|own| own.person);
         snapshot.person =
             if shown().count() == 1 { shown().next().map_or(ALL_PERSONS, |person| person.0) } else { ALL_PERSONS };
         snapshot.persons = persons as u32;
-        snapshot.window = self.pipeline.persons().map(|own| own.window as u64).sum();
-        snapshot.flags |= if self.persons.nobody_is_home() { score_flags::NOBODY_HOME } else { 0 };
+        snapshot.window = pipeline.persons().map(|own| own.window as u64).sum();
+        snapshot.flags |= if known_persons.nobody_is_home() { score_flags::NOBODY_HOME } else { 0 };
         snapshot.flags |= if persons == 0 { score_flags::NO_NARRATION } else { 0 };
 
         self.newest_sources.clear();
@@ -291,22 +335,22 @@ impl<M: LanguageModel> Board<M> {
             };
         }
         snapshot.flags |= if cut { score_flags::SOURCES_CUT } else { 0 };
-        self.fill_persons();
+        self.fill_persons(pipeline, known_persons);
     }
 
-    fn fill_persons(&mut self) {
+    fn fill_persons<M: LanguageModel>(&mut self, pipeline: &Pipeline<M>, known_persons: &mut Persons) {
         self.newest_persons.clear();
-        self.newest_persons.extend(self.persons.iter().map(|(person, known)| (known.heard_ns, person)));
+        self.newest_persons.extend(known_persons.iter().map(|(person, known)| (known.heard_ns, person)));
         // Residents come before visitors, then persons of named narrators, then persons with newer events. Unknown narrators can invent any number of
         // persons.
-        let persons = &self.persons;
+        let persons = &*known_persons;
         let rank = |(heard_ns, person): &(i64, PersonId)| {
             (persons.is_visitor(*person), !persons.is_trusted(*person), Reverse(*heard_ns), *person)
         };
         self.newest_persons.sort_unstable_by_key(rank);
         // A person without a place is not published, and waits for nothing.
         for (_, person) in self.newest_persons.drain(MAX_PERSONS.min(self.newest_persons.len())..) {
-            if let Some(known) = self.persons.get_mut(person) {
+            if let Some(known) = known_persons.get_mut(person) {
                 known.told = true;
             }
         }
@@ -323,8 +367,8 @@ impl<M: LanguageModel> Board<M> {
         let mut places = message.person.iter_mut();
         let mut count = 0;
         for &(heard_ns, person) in &self.newest_persons {
-            let Some(known) = self.persons.get_mut(person) else { continue };
-            let own = self.pipeline.inside().person(person);
+            let Some(known) = known_persons.get_mut(person) else { continue };
+            let own = pipeline.inside().person(person);
             // Persons that are gone have no scores, but are published once.
             if own.is_none() && known.presence != Presence::Gone {
                 continue;
@@ -362,6 +406,38 @@ impl<M: LanguageModel> Board<M> {
         }
         places.for_each(|place| *place = PersonV1::default());
         message.person_count = count;
+    }
+}
+
+/// The house by horizon if its persons moved independently.
+struct Independent {
+    /// The probability that a room is free.
+    free: [[f64; MAX_ROOMS]; MAX_HORIZONS],
+    /// The probability that all persons are elsewhere.
+    elsewhere: [f64; MAX_HORIZONS],
+    /// The part of the persons' dependence now that remains: the joint belief differs from the product of the persons' beliefs by it.
+    common: [f64; MAX_HORIZONS],
+}
+
+impl Independent {
+    fn of(followed: &BTreeMap<PersonId, Forecaster>, home: &mut HomeHabits, now_ns: BootNs) -> Self {
+        let (mut free, now_s) = ([[1.0; MAX_ROOMS]; MAX_HORIZONS], now_ns.seconds());
+        let (mut elsewhere, mut common) = ([1.0; MAX_HORIZONS], [1.0; MAX_HORIZONS]);
+        for (person, own) in followed {
+            let by_habit = home.forecast(*person, own, now_ns, &HORIZONS_S);
+            for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
+                common[place] *= own.stays(now_s, f64::from(*horizon_s));
+                let free = free[place].iter_mut();
+                if let Some((gone, known)) = by_habit.and_then(|rows| row(rows, place)?.split_last()) {
+                    free.zip(known).for_each(|(free, p)| *free *= 1.0 - p);
+                    elsewhere[place] *= gone;
+                } else {
+                    free.zip(own.at(now_s, f64::from(*horizon_s))).for_each(|(free, p)| *free *= 1.0 - p);
+                    elsewhere[place] *= own.elsewhere(now_s, f64::from(*horizon_s));
+                }
+            }
+        }
+        Self { free, elsewhere, common }
     }
 }
 
