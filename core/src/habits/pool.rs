@@ -226,17 +226,17 @@ impl Pool {
         }
         let greatest = sums.iter().copied().fold(f32::NEG_INFINITY, f32::max).max(f32::MIN);
         sums.iter_mut().for_each(|sum| *sum = (*sum - greatest).exp());
-        let total: f32 = sums.iter().sum();
+        let total: f64 = sums.iter().copied().map(f64::from).sum();
         let scale = if total > 0.0 { 1.0 / total } else { 0.0 };
-        product.iter_mut().zip(&*sums).for_each(|(p, sum)| *p = f64::from(sum * scale));
+        product.iter_mut().zip(&*sums).for_each(|(p, sum)| *p = scale * f64::from(*sum));
         for (expected, logs) in self.expected.iter_mut().zip(logs.chunks_exact(width.max(1))) {
             let (mut mean, mut square) = (0.0, 0.0);
             for (log, sum) in logs.iter().zip(&*sums) {
                 mean += sum * log;
                 square += sum * log * log;
             }
-            let mean = f64::from(scale * mean);
-            *expected = [mean, f64::from(scale * square) - mean * mean];
+            let mean = scale * f64::from(mean);
+            *expected = [mean, scale * f64::from(square) - mean * mean];
         }
     }
 
