@@ -430,6 +430,6 @@ mod tests {
         let after = teach(board, old.lessons().to_vec(), |_| {}).unwrap();
         let after = known(&after);
         assert_eq!(after.observations(PersonId(3)), 12.0);
-        Habits::from_bytes(HabitsOptions::default(), &after.to_bytes()).unwrap();
+        Habits::from_stored(HabitsOptions::default(), after.stored()).unwrap();
     }
 }

@@ -4,12 +4,10 @@
 //! day, then place, then all rooms, then the shipped stay. Time out of the house has the shipped absence as its prior, since stays in rooms do not
 //! predict its length. A person who leaves goes where earlier exits led, and a new stay begins there.
 
-use super::key::{Kind, NONE};
-use super::moment::{self, CLASSES, PART_HOURS, class_s, time_class};
+use super::context::{CLASSES, Context, class_s, time_class};
 use super::names::ELSEWHERE;
-use super::parts::Expert;
-use super::rooms::normalise;
-use super::whose::View;
+use super::parts::{NONE, Part};
+use super::view::{Level, View, level, normalise};
 
 /// Symbols of the counts of stays.
 pub(crate) const EXITS: u16 = 0;
@@ -24,8 +22,8 @@ const STEPS_S: [f64; 2] = [15.0, 300.0];
 const STEP_SHARE: f64 = 0.2;
 /// Exits that the wider level is worth.
 const RATE_STRENGTH: f64 = 2.0;
-/// Discount and concentration of destinations.
-const EXIT: [(f64, f64); 2] = [(0.25, 2.0), (0.25, 4.0)];
+/// Contexts of destinations.
+pub(crate) const EXIT: [Level; 2] = [level(Part::Exit, 0.25, 2.0), level(Part::ExitByHour, 0.25, 4.0)];
 /// Scale of a stay in a room in the shipped forecast, in seconds.
 const SHIPPED_STAY_S: f64 = 120.0;
 
@@ -55,25 +53,16 @@ impl Leaving {
     /// Writes the probabilities per horizon (ascending) and place, row by row, into `out`.
     pub(crate) fn forecast(
         &mut self,
-        view: View<'_>,
+        view: &View<'_>,
         from: Stay,
-        now_s: f64,
-        next_rooms: &[f64],
-        horizons_s: &[f64],
+        (now_s, horizons_s): (f64, &[f64]),
         out: &mut Vec<f64>,
     ) {
-        let (places, part) = (view.home.places(), moment::part_of_day(now_s, PART_HOURS));
+        let places = view.home.places();
         out.clear();
         self.leads.clear();
         for place in 0..places {
-            self.lead(
-                view,
-                place,
-                part,
-                next_rooms
-                    .get(..places - 1)
-                    .filter(|_| Some(place) == from.here && view.without.uses(Expert::NextRoom as u8)),
-            );
+            self.lead(view, place, now_s);
         }
         let elsewhere = places - 1;
         self.mass.clear();
@@ -89,7 +78,7 @@ impl Leaving {
             }
         }
         let farthest_s = horizons_s.last().map_or(0.0, |horizon_s| horizon_s.min(FARTHEST_S));
-        self.rate(view, part, from, usize::from(time_class(farthest_s - at_s.min(0.0))));
+        self.rate(view, now_s, from, usize::from(time_class(farthest_s - at_s.min(0.0))));
         self.step_until(&mut at_s, 0.0);
         if from.here.is_none() {
             // The person has not left again until now.
@@ -104,31 +93,22 @@ impl Leaving {
     }
 
     /// Appends the destinations of a place.
-    fn lead(&mut self, view: View<'_>, place: usize, part: u16, next_rooms: Option<&[f64]>) {
+    fn lead(&mut self, view: &View<'_>, place: usize, now_s: f64) {
         let places = view.home.places();
         let begin = self.leads.len();
         self.leads.resize(begin + places, 1.0);
         let row = &mut self.leads[begin..];
-        // For the current stay the mixture of rooms is better than uniform chances. It does not cover leaving the house.
-        if let Some(next) = next_rooms {
-            let known: f64 = next.iter().enumerate().filter(|(room, _)| *room != place).map(|(_, p)| p).sum();
-            let others = (places - 1 - usize::from(place < places - 1)) as f64;
-            if known > 0.0 {
-                row.iter_mut().zip(next).for_each(|(p, next)| *p = others * next / known);
-            }
-        }
         row[place] = 0.0;
         normalise(row);
+        let context = Context::of_stay(view.home.places.number(place).unwrap_or(NONE), 0, now_s);
         let index = |number| view.home.places.index(number).filter(|other| *other != place);
-        for (context, strength) in
-            exit_contexts(view.home.places.number(place).unwrap_or(NONE), part).into_iter().zip(EXIT)
-        {
-            view.smooth(context, strength, index, row);
+        for level in &EXIT {
+            view.smooth(level, &context, index, row);
         }
     }
 
     /// Computes the rates of leaving for the ages that stays can have.
-    fn rate(&mut self, view: View<'_>, part: u16, from: Stay, newest: usize) {
+    fn rate(&mut self, view: &View<'_>, now_s: f64, from: Stay, newest: usize) {
         let places = view.home.places();
         self.rates.clear();
         self.rates.resize(places, [0.0; CLASSES]);
@@ -142,11 +122,10 @@ impl Leaving {
                 }
                 let [begin_s, end_s] = class_s(age);
                 *rate = 2.0 / (scale_s + 0.5 * (begin_s + end_s));
-                for (kind, after) in stay_contexts(number, age as u16, part) {
-                    for (seen, _) in view.seen(kind, after) {
-                        let (exits, spent_s) = (seen.count(EXITS), 60.0 * seen.count(MINUTES));
-                        *rate = (exits + RATE_STRENGTH) / (spent_s + RATE_STRENGTH / *rate);
-                    }
+                let context = Context::of_stay(number, age as u16, now_s);
+                for (seen, _) in stay_parts(number).iter().flat_map(|part| view.seen(*part, &context)) {
+                    let (exits, spent_s) = (seen.count(EXITS), 60.0 * seen.count(MINUTES));
+                    *rate = (exits + RATE_STRENGTH) / (spent_s + RATE_STRENGTH / *rate);
                 }
             }
         }
@@ -179,14 +158,9 @@ impl Leaving {
 }
 
 /// The contexts of a stay. Time out of the house does not count for the length of stays in rooms.
-pub(crate) fn stay_contexts(place: u16, spent: u16, part: u16) -> impl Iterator<Item = (Kind, [u16; 3])> {
-    let all = (Kind::Stay, [NONE, spent, NONE]);
-    let rest = [(Kind::StayPlace, [place, spent, NONE]), (Kind::StayPlaceHour, [place, spent, part])];
-    (place != ELSEWHERE).then_some(all).into_iter().chain(rest)
-}
-
-pub(crate) fn exit_contexts(place: u16, part: u16) -> [(Kind, [u16; 3]); 2] {
-    [(Kind::Exit, [place, NONE, NONE]), (Kind::ExitHour, [place, part, NONE])]
+pub(crate) fn stay_parts(place: u16) -> &'static [Part] {
+    const ALL: &[Part] = &[Part::Stay, Part::StayByPlace, Part::StayByHour];
+    if place == ELSEWHERE { &ALL[1..] } else { ALL }
 }
 
 #[cfg(test)]

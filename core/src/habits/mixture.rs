@@ -11,68 +11,55 @@
 //! and the loss of any sequence of experts with `m` changes by at most one more `ln(1 / (a v))` per change. If outcomes come so often that many are
 //! alike, probabilities are raised to a power `r` below one. Both bounds then grow by the factor `1 / r`.
 
-/// The weights of `N` experts.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct FixedShare<const N: usize> {
-    weights: [f64; N],
-    prior: [f64; N],
+/// The weights of some experts.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct FixedShare {
+    weights: Vec<f64>,
+    prior: Vec<f64>,
 }
 
-impl<const N: usize> FixedShare<N> {
-    pub(crate) fn new(prior: [f64; N]) -> Self {
-        Self { weights: prior, prior }
-    }
-
-    /// As [`FixedShare::new`], with the first expert's weight set; the prior divides the rest among the others. The bound then uses this weight, and
-    /// shares still go to the prior.
-    pub(crate) fn beginning_with(first: f64, prior: [f64; N]) -> Self {
-        let mut weights = prior;
+impl FixedShare {
+    /// The first expert starts with the weight `first`; the prior divides the rest among the others. The bound uses this weight, and shares go back
+    /// to the prior.
+    pub(crate) fn new(first: f64, prior: impl Iterator<Item = f64>) -> Self {
+        let mut prior: Vec<f64> = prior.collect();
+        let total: f64 = prior.iter().sum();
+        prior.iter_mut().for_each(|p| *p /= total);
+        let mut weights = prior.clone();
         let rest: f64 = prior.iter().skip(1).sum();
-        if rest <= 0.0 {
-            return Self { weights: prior, prior };
+        if rest > 0.0 {
+            weights.iter_mut().skip(1).for_each(|weight| *weight *= (1.0 - first) / rest);
+            weights.iter_mut().take(1).for_each(|weight| *weight = first);
         }
-        weights.iter_mut().skip(1).for_each(|weight| *weight *= (1.0 - first) / rest);
-        weights.iter_mut().take(1).for_each(|weight| *weight = first);
         Self { weights, prior }
     }
 
-    /// The prior without the experts that do not count.
-    pub(crate) fn of(prior: [f64; N], counts: [bool; N]) -> [f64; N] {
-        let mut prior = prior;
-        prior.iter_mut().zip(counts).filter(|(_, counts)| !counts).for_each(|(p, _)| *p = 0.0);
-        let total: f64 = prior.iter().sum();
-        prior.map(|p| p / total)
-    }
-
     /// The weights of the experts; they sum to one.
-    pub(crate) fn weights(&self) -> &[f64; N] {
+    pub(crate) fn weights(&self) -> &[f64] {
         &self.weights
     }
 
-    /// The weights, to restore stored ones.
-    pub(crate) fn weights_mut(&mut self) -> &mut [f64] {
-        &mut self.weights
+    /// Restores weights, if they are possible.
+    pub(crate) fn restore(&mut self, weights: &[f64]) {
+        let total: f64 = weights.iter().sum();
+        if weights.iter().all(|weight| *weight >= 0.0) && (total - 1.0).abs() < 1e-6 {
+            self.weights.copy_from_slice(weights);
+        }
     }
 
-    /// The mixture's probability of an outcome with these probabilities of the experts.
-    pub(crate) fn mix(&self, probabilities: &[f64; N]) -> f64 {
-        self.weights.iter().zip(probabilities).map(|(weight, p)| weight * p).sum()
-    }
-
-    /// Learns from an outcome to which the experts gave `probabilities`; `rate` is above 0 and at most 1.
-    pub(crate) fn learn(&mut self, probabilities: &[f64; N], share: f64, rate: f64) {
-        let prior = &self.prior;
+    /// Learns from an outcome to which each expert gave a probability; `rate` is above 0 and at most 1.
+    pub(crate) fn learn(&mut self, probability: impl Fn(usize) -> f64, share: f64, rate: f64) {
         let mut total = 0.0;
-        for (weight, p) in self.weights.iter_mut().zip(probabilities) {
-            let p = p.max(f64::MIN_POSITIVE);
+        for (expert, weight) in self.weights.iter_mut().enumerate() {
+            let p = probability(expert).max(f64::MIN_POSITIVE);
             *weight *= if rate == 1.0 { p } else { p.powf(rate) };
             total += *weight;
         }
         if !(total > 0.0 && total.is_finite()) {
-            self.weights = *prior;
+            self.weights.copy_from_slice(&self.prior);
             return;
         }
-        for (weight, prior) in self.weights.iter_mut().zip(prior) {
+        for (weight, prior) in self.weights.iter_mut().zip(&self.prior) {
             *weight = (1.0 - share) * *weight / total + share * prior;
         }
     }
@@ -89,6 +76,10 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn mix(mixture: &FixedShare, p: &[f64]) -> f64 {
+        mixture.weights().iter().zip(p).map(|(weight, p)| weight * p).sum()
+    }
+
     proptest! {
         #[test]
         fn no_expert_is_better_by_more_than_the_bound(
@@ -98,12 +89,12 @@ mod tests {
             rate in prop::sample::select(vec![1.0, 0.3, 0.05]),
         ) {
             let prior = [first, (1.0 - first) * 0.75, (1.0 - first) * 0.25];
-            let mut mixture = FixedShare::new(prior);
+            let mut mixture = FixedShare::new(first, prior.into_iter());
             let (mut loss, mut losses) = (0.0, [0.0; 3]);
             for outcome in &outcomes {
-                loss -= mixture.mix(outcome).ln();
+                loss -= mix(&mixture, outcome).ln();
                 losses.iter_mut().zip(outcome).for_each(|(sum, p)| *sum -= p.ln());
-                mixture.learn(outcome, share, rate);
+                mixture.learn(|expert| outcome[expert], share, rate);
                 prop_assert!((mixture.weights().iter().sum::<f64>() - 1.0).abs() < 1e-9);
             }
             for (own, prior) in losses.into_iter().zip(prior) {
@@ -114,13 +105,12 @@ mod tests {
         /// The tracking bound: a sequence of experts pays once per change.
         #[test]
         fn a_change_of_the_best_expert_costs_once(at in 1..200usize, more in 1..200usize, share in 0.005..0.1f64) {
-            let prior = [0.5, 0.5];
-            let mut mixture = FixedShare::new(prior);
+            let mut mixture = FixedShare::new(0.5, [0.5, 0.5].into_iter());
             let mut loss = 0.0;
             for outcome in 0..at + more {
                 let p = if outcome < at { [0.9, 0.1] } else { [0.1, 0.9] };
-                loss -= mixture.mix(&p).ln();
-                mixture.learn(&p, share, 1.0);
+                loss -= mix(&mixture, &p).ln();
+                mixture.learn(|expert| p[expert], share, 1.0);
             }
             let best = -0.9f64.ln() * (at + more) as f64;
             let switched = -(share * 0.5).ln();

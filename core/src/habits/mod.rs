@@ -13,7 +13,7 @@
 //! presence, room seen     be(...)               come_back(...) into an unknown room
 //! about once a minute     tick(...)                    forecasts whose time has come are learned from
 //! forecast wanted         at_times(...) -> probabilities of the places     room_set(...) -> a set with a promise
-//! now and then, at exit   to_bytes() -> the file
+//! now and then, at exit   stored() -> the state database
 //! ```
 //!
 //! This module reads no clock and no file. Times are seconds since 1970 in local time, because the hour of the day matters. After warm-up an
@@ -22,32 +22,29 @@
 use crate::grounding::{Grounding, partition_names};
 use crate::ids::PersonId;
 
+mod context;
 mod counts;
-mod key;
 mod leaving;
 mod mixture;
-mod moment;
 mod names;
+mod next;
 mod parts;
 mod pool;
-mod rooms;
 mod sets;
-mod smoothing;
 mod stays;
 mod stored;
-mod things;
+mod view;
 mod visits;
-mod whose;
 
+use context::{Context, LAST, minute, time_class};
 use counts::{Counts, Limits};
-use key::{Kind, NONE, Number, SLOT_MASK, parts};
 use names::{ELSEWHERE_NAME, Home, Names, Numbered};
-use rooms::{Known, Rooms};
+use next::Next;
+use parts::{NONE, Number, Part, SLOT_MASK, split};
 use stays::Stays;
-use things::Things;
-use whose::{OTHERS_MAX, View};
+use view::{OTHERS_MAX, View};
 
-pub use moment::{PART_HOURS, PARTS};
+pub use context::{PART_HOURS, PARTS};
 pub use parts::Without;
 pub use sets::{AdaptiveSets, Issued, SetOptions};
 pub use stored::{BYTES_MAX, Stored, StoredError, StoredName, StoredPerson, StoredRow};
@@ -62,7 +59,7 @@ pub struct HabitsOptions {
     pub learn: bool,
     /// Half-life of counts, in days; 0 for no decay.
     pub half_life_days: f64,
-    /// Most contexts: 24 bytes each, and 4 for the hash table.
+    /// Most contexts: 20 bytes each.
     pub contexts_max: usize,
     /// Most blocks of up to four counts: 28 bytes each.
     pub blocks_max: usize,
@@ -81,7 +78,7 @@ impl Default for HabitsOptions {
             learn: true,
             half_life_days: 60.0,
             contexts_max: 1 << 16,
-            blocks_max: 3 << 14,
+            blocks_max: 1 << 16,
             names_max: 2_048,
             sets: SetOptions::default(),
             without: Without::default(),
@@ -179,8 +176,15 @@ struct Person {
     last_s: f64,
     /// Time between the last two observations.
     pace_s: f64,
-    things: Things,
-    rooms: Rooms,
+    /// The last different things, the latest first, and the number of repeated mentions of the latest.
+    last: [u16; LAST],
+    times: u8,
+    /// Repeated mentions, and all mentions.
+    repeated: [f64; 2],
+    /// The context of the latest forecast, or of the last observation.
+    known: Option<Context>,
+    things: Next,
+    rooms: Next,
     stays: Stays,
 }
 
@@ -192,8 +196,12 @@ impl Person {
             observations: 0.0,
             last_s: f64::NEG_INFINITY,
             pace_s: f64::INFINITY,
-            things: Things::new(options.without),
-            rooms: Rooms::new(options.without),
+            last: [NONE; LAST],
+            times: 0,
+            repeated: [1.0, 2.0],
+            known: None,
+            things: Next::of_things(options.without),
+            rooms: Next::of_rooms(options.without),
             stays: Stays::new(options.sets, options.without),
         }
     }
@@ -203,10 +211,30 @@ impl Person {
         self.observations + self.stays.watched_min()
     }
 
-    fn known(&self, at_s: f64) -> Known {
-        let Self { pace_s, things, stays, .. } = self;
-        let spent_s = at_s - stays.entered_s;
-        Known { here: stays.place, last: things.last_three(), times: things.times, spent_s, pace_s: *pace_s, at_s }
+    fn context(&self, at_s: f64) -> Context {
+        let Self { pace_s, last, times, stays, .. } = self;
+        let [spent, pace] = [at_s - stays.entered_s, *pace_s].map(time_class);
+        Context { here: stays.place, last: *last, times: *times, spent, pace, horizon: 0, at_s }
+    }
+
+    /// Adds a thing, or an unmapped one, to the context.
+    fn turn(&mut self, number: Option<u16>) {
+        let number = number.unwrap_or(NONE);
+        if number == self.last[0] {
+            self.times = if number == NONE { 0 } else { self.times.saturating_add(1) };
+            return;
+        }
+        self.times = 0;
+        self.last.rotate_right(1);
+        self.last[0] = number;
+    }
+
+    fn forget_number(&mut self, number: u16, what: Number) {
+        match what {
+            Number::Object => self.last.iter_mut().filter(|last| **last == number).for_each(|last| *last = NONE),
+            Number::Place | Number::Plain => self.stays.forget_number(number),
+        }
+        self.known = None;
     }
 }
 
@@ -321,79 +349,70 @@ impl Habits {
             }
         }
         let Self { persons, counts, home, options, .. } = self;
-        let (person, now_min, without) = (&mut persons[at], moment::minute(now_s), options.without);
-        (View { counts, home, slot: person.slot, others, now_min, times: 0, without }, person)
+        let person = &mut persons[at];
+        (View { counts, home, slot: person.slot, others, now_min: minute(now_s), without: options.without }, person)
     }
 
-    /// The number of a label's thing. While learning, a new thing gets a number.
-    fn thing_number(&mut self, label: usize, now_min: u32) -> Option<u16> {
+    /// The number of a label's thing or of a place. While learning, a new one gets a number; the counts of a reused number are forgotten.
+    fn number(&mut self, what: Number, index: usize, now_min: u32) -> Option<u16> {
+        let names = if what == Number::Object { &mut self.home.things } else { &mut self.home.places };
         if !self.options.learn {
-            return self.home.things.number(label);
+            return names.number(index);
         }
-        let numbered = self.home.things.see(label, now_min);
-        self.number(numbered, Number::Object)
+        let number = match names.see(index, now_min) {
+            Numbered::As(number) => return Some(number),
+            Numbered::Reused(number) => number,
+            Numbered::Refused => return None,
+        };
+        self.persons.iter_mut().for_each(|person| person.forget_number(number, what));
+        // A digest does not say which things it stands for, so all digests go.
+        let is_free = |(part, layout, _, after): (Part, [Number; 4], u8, [u16; 3])| {
+            let is_digest = what == Number::Object && matches!(part, Part::ThingAfter4 | Part::ThingAfter5);
+            !is_digest && layout.into_iter().zip(after).all(|(is, other)| is != what || other != number)
+        };
+        self.counts.retain(
+            |key| split(key).is_some_and(is_free),
+            |key, symbol| split(key).is_some_and(|(_, layout, ..)| layout[3] != what || symbol != number),
+        );
+        Some(number)
     }
 
-    /// See [`Habits::thing_number`].
-    fn place_number(&mut self, place: Place, now_min: u32) -> Option<u16> {
+    fn number_of(&mut self, place: Place, now_min: u32) -> Option<u16> {
         let index = match place {
             Place::Elsewhere => self.home.rooms(),
             Place::Room(room) if room < self.home.rooms() => room,
             Place::Room(_) => return None,
         };
-        if !self.options.learn {
-            return self.home.places.number(index);
-        }
-        let numbered = self.home.places.see(index, now_min);
-        self.number(numbered, Number::Place)
-    }
-
-    /// Forgets the counts of a reused number.
-    fn number(&mut self, numbered: Numbered, what: Number) -> Option<u16> {
-        let number = match numbered {
-            Numbered::As(number) => return Some(number),
-            Numbered::Reused(number) => number,
-            Numbered::Refused => return None,
-        };
-        for person in &mut self.persons {
-            match what {
-                Number::Object => person.things.forget_number(number),
-                Number::Place | Number::Plain => person.stays.forget_number(number),
-            }
-            person.rooms.know(None);
-        }
-        // A digest does not say which things it stands for, so digests stay.
-        let is_free = |(kind, _, after): (Kind, u8, [u16; 3])| {
-            let is_digest = what == Number::Object && matches!(kind, Kind::Object4 | Kind::Object5);
-            !is_digest && kind.layout().into_iter().zip(after).all(|(is, other)| is != what || other != number)
-        };
-        self.counts.retain(
-            |key| parts(key).is_some_and(is_free),
-            |key, symbol| parts(key).is_some_and(|(kind, ..)| kind.layout()[3] != what || symbol != number),
-        );
-        Some(number)
+        self.number(Number::Place, index, now_min)
     }
 
     /// Learns from a turn: the last forecasts are compared with it, it is counted, and it becomes the context of the next forecast.
     pub fn observe(&mut self, turn: &Turn) {
-        let (now_min, at) = (moment::minute(turn.at_s), self.person(turn.person));
-        let number = turn.label.and_then(|label| self.thing_number(label, now_min));
-        let place = turn.room.and_then(|room| self.place_number(Place::Room(room), now_min));
+        let (now_min, at) = (minute(turn.at_s), self.person(turn.person));
+        let number = turn.label.and_then(|label| self.number(Number::Object, label, now_min));
+        let place = turn.room.and_then(|room| self.number_of(Place::Room(room), now_min));
         let Self { persons, counts, options: HabitsOptions { learn, .. }, home, .. } = self;
         let person = &mut persons[at];
-        let Person { slot, things, rooms, stays, .. } = person;
+        let context = person.known.unwrap_or_else(|| person.context(turn.at_s));
+        let Person { slot, things, rooms, stays, repeated, known, .. } = person;
         if *learn {
             if let Some((room, place)) = turn.room.zip(place) {
                 rooms.learn_weights(room);
-                rooms.count(counts, *slot, place, number, turn.at_s);
+                if known.is_some() {
+                    rooms.other.count(counts, *slot, &context, place, turn.at_s);
+                }
+                if let Some(thing) = number {
+                    next::count_room_of(counts, *slot, thing, place, turn.at_s);
+                }
             }
             if let Some((label, number)) = turn.label.zip(number) {
-                things.learn_weights(label);
-                things.count(counts, *slot, number, turn.at_s);
+                if let Some(is_same) = things.learn_weights(label) {
+                    *repeated = [repeated[0] + f64::from(u8::from(is_same)), repeated[1] + 1.0];
+                }
+                things.count_thing(counts, *slot, &context, number, turn.at_s);
             }
             person.observations += 1.0;
         }
-        things.turn(number);
         if number.is_some() || place.is_some() {
             things.forget_forecast();
             rooms.forget_forecast();
@@ -402,15 +421,15 @@ impl Habits {
             stays.learn_due(counts, *slot, home, turn.at_s, *learn);
             stays.be(counts, *slot, place, turn.at_s, *learn);
         }
+        person.turn(number);
         person.pace_s = turn.at_s - person.last_s;
         person.last_s = person.last_s.max(turn.at_s);
-        let known = person.known(turn.at_s);
-        person.rooms.know(Some(known));
+        person.known = Some(person.context(turn.at_s));
     }
 
     /// Puts a person in a place without a turn: a presence event or a sensor reported it.
     pub fn be(&mut self, person: PersonId, place: Place, at_s: f64) {
-        if let Some(number) = self.place_number(place, moment::minute(at_s)) {
+        if let Some(number) = self.number_of(place, minute(at_s)) {
             self.moves(person, at_s, |stays, counts, slot, learn| stays.be(counts, slot, number, at_s, learn));
         }
     }
@@ -472,28 +491,33 @@ impl Habits {
 
     /// Moves counts after a clock step of `by_s` seconds, so that their age stays the same.
     pub fn shift_counts(&mut self, by_s: f64) {
-        self.change_minutes(|minute| moment::shifted(minute, (by_s / 60.0) as i64));
+        let by_min = (by_s / 60.0) as i64;
+        self.change_minutes(|minute| {
+            u32::try_from(i64::from(minute).saturating_add(by_min).max(0)).unwrap_or(u32::MAX)
+        });
     }
 
     /// Dates counts from a clock that was ahead as of now. Otherwise they would not fade until then, and would outweigh new counts.
     pub fn no_later_than(&mut self, now_s: f64) {
-        self.change_minutes(|minute| minute.min(moment::minute(now_s)));
+        let now_min = minute(now_s);
+        self.change_minutes(|minute| minute.min(now_min));
     }
 
     /// Per label of the map, the probability that the person turns to it next. `model` has the model's probabilities, which need not sum to one. The
     /// next turn is compared with the result.
     pub fn mix(&mut self, person: PersonId, at_s: f64, model: &[f64]) -> &[f64] {
-        let (view, Person { things, .. }) = self.view(person, at_s);
-        things.forecast(view, at_s, model);
-        &things.mixed
+        let (view, person) = self.view(person, at_s);
+        let context = *person.known.insert(person.context(at_s));
+        person.things.things(&view, &context, person.repeated, model);
+        &person.things.mixed
     }
 
     /// Per room of the map, the probability that the next thing is there. Call it after [`Habits::mix`], whose forecast it uses. The next turn is
     /// compared with the result.
     pub fn next_rooms(&mut self, person: PersonId, at_s: f64, model: &[f64]) -> &[f64] {
         let (view, person) = self.view(person, at_s);
-        let known = person.known(at_s);
-        person.rooms.forecast(view, known, (model, &person.things.mixed));
+        let context = *person.known.insert(person.context(at_s));
+        person.rooms.rooms(&view, &context, model, &person.things.mixed);
         &person.rooms.mixed
     }
 
@@ -501,8 +525,9 @@ impl Habits {
     #[must_use]
     pub fn explain(&self, person: PersonId, label: usize) -> Option<Shares> {
         let Person { things, .. } = self.known_person(person)?;
-        let [model, habit, hour] = things.explain(label)?;
-        Some(Shares { probability: things.mixed[label], model, habit, hour, observations: things.observations })
+        let [model, habit, _, hour] = things.explain(label)?;
+        let (probability, observations) = (things.mixed[label], things.other.observations);
+        Some(Shares { probability, model, habit, hour, observations })
     }
 
     /// The shares of a room's probability in the person's latest forecast of the next room.
@@ -510,7 +535,7 @@ impl Habits {
     pub fn explain_room(&self, person: PersonId, room: usize) -> Option<RoomShares> {
         let Person { rooms, .. } = self.known_person(person)?;
         let [model, habit, things, hour] = rooms.explain(room)?;
-        let (probability, observations) = (rooms.mixed[room], rooms.observations);
+        let (probability, observations) = (rooms.mixed[room], rooms.other.observations);
         Some(RoomShares { probability, model, habit, things, hour, observations })
     }
 
@@ -518,9 +543,9 @@ impl Habits {
     /// without habits, so many seconds ahead, per place; elsewhere comes last.
     pub fn tick(&mut self, person: PersonId, now_s: f64, shipped: &mut dyn FnMut(f64, &mut [f64])) {
         self.moves(person, now_s, |_, _, _, _| {});
-        let (view, Person { rooms, stays, .. }) = self.view(person, now_s);
+        let (view, Person { stays, .. }) = self.view(person, now_s);
         if stays.is_due(now_s) {
-            stays.sample(view, now_s, &rooms.mixed, shipped);
+            stays.sample(&view, now_s, shipped);
         }
     }
 
@@ -534,13 +559,13 @@ impl Habits {
         out: &mut Vec<f64>,
         shares: &mut Vec<WhenShares>,
     ) {
-        let (view, Person { rooms, stays, .. }) = self.view(person, now_s);
+        let (view, Person { stays, .. }) = self.view(person, now_s);
         let cells = horizons_s.len() * view.home.places();
         out.clear();
         out.extend_from_slice(&shipped[..cells.min(shipped.len())]);
         out.resize(cells, 0.0);
         shares.clear();
-        stays.forecast(view, (now_s, horizons_s), &rooms.mixed, out, |[shipped, leaving, by_place, later], _| {
+        stays.forecast(&view, (now_s, horizons_s), out, |[shipped, leaving, by_place, later], _| {
             shares.push(WhenShares { shipped, leaving, later: by_place + later });
         });
     }
@@ -595,7 +620,7 @@ impl Habits {
     pub fn forget(&mut self, person: PersonId) -> bool {
         let Some(at) = self.persons.iter().position(|other| other.number == person) else { return false };
         let slot = self.persons.remove(at).slot;
-        self.counts.retain(|key| parts(key).is_some_and(|(_, other, _)| other & SLOT_MASK != slot), |_, _| true);
+        self.counts.retain(|key| split(key).is_some_and(|(_, _, other, _)| other & SLOT_MASK != slot), |_, _| true);
         self.date_names();
         true
     }
@@ -605,9 +630,9 @@ impl Habits {
         let Home { things, places, .. } = &mut self.home;
         things.seen_min().chain(places.seen_min()).for_each(|seen_min| *seen_min = 0);
         for (key, touched_min, counts) in self.counts.rows() {
-            let Some((kind, _, after)) = parts(key) else { continue };
-            let of_counts = counts.iter().map(|(symbol, _)| (*symbol, kind.layout()[3]));
-            for (number, what) in after.into_iter().zip(kind.layout()).chain(of_counts) {
+            let Some((_, layout, _, after)) = split(key) else { continue };
+            let of_counts = counts.iter().map(|(symbol, _)| (*symbol, layout[3]));
+            for (number, what) in after.into_iter().zip(layout).chain(of_counts) {
                 match what {
                     Number::Object => things.date(number, touched_min),
                     Number::Place => places.date(number, touched_min),

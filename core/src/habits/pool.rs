@@ -1,5 +1,8 @@
 //! Forecasts of the same outcomes as one: each alone, and all of them multiplied, mixed by fixed share.
 //!
+//! Each expert begins with the probabilities of another one and mixes what its contexts have seen over them, level by level. The first row is the
+//! forecast without habits.
+//!
 //! ```text
 //! product: p(w) ~ product over i of p_i(w)^l_i
 //! ```
@@ -8,7 +11,12 @@
 //! expects and this home has. After every outcome each power `l_i` takes a gradient step, which shrinks as its information grows. A product may be
 //! worse than any of its factors, so it is one expert of a mixture with a bound.
 
+use super::context::{Context, minute};
+use super::counts::Counts;
 use super::mixture::FixedShare;
+use super::parts::{Part, Without, key, with_times};
+use super::stored::MOST;
+use super::view::{Level, View};
 
 /// Information of the first powers, and the least information later.
 const FIRST_INFORMATION: f64 = 40.0;
@@ -17,20 +25,74 @@ const INFORMATION: f64 = 20.0;
 const KEPT: f64 = 0.998;
 /// Greatest gradient, and the range of the powers.
 const STEEPEST: f64 = 10.0;
-pub(crate) const POWERS: std::ops::RangeInclusive<f64> = -0.5..=1.5;
+const POWERS: std::ops::RangeInclusive<f64> = -0.5..=1.5;
 /// Smaller probabilities are raised to this.
 const FLOOR: f32 = 1e-7;
 
-/// `M` forecasts; the product is the last of the `N` experts.
+/// What an expert knows, in the words of an explanation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Source {
+    Model,
+    Habit,
+    Things,
+    Hour,
+}
+
+/// Where the probabilities of an expert begin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Begin {
+    /// The caller writes them.
+    Given,
+    /// With those of another expert after so many of its levels. The forecast without habits is expert 0.
+    After(usize, usize),
+}
+
+#[derive(Debug)]
+pub(crate) struct Expert {
+    /// `None` if it cannot be left out.
+    part: Option<Part>,
+    /// Weight in the mixture, in proportion, and first power in the product.
+    prior: f64,
+    power: f64,
+    source: Source,
+    begin: Begin,
+    levels: &'static [Level],
+}
+
+pub(crate) const fn expert(
+    part: Option<Part>,
+    [prior, power]: [f64; 2],
+    source: Source,
+    begin: Begin,
+    levels: &'static [Level],
+) -> Expert {
+    Expert { part, prior, power, source, begin, levels }
+}
+
+/// The experts of a pool, the forecast without habits first.
+#[derive(Debug)]
+pub(crate) struct Plan {
+    pub(crate) experts: &'static [Expert],
+    /// Weight of the product of all experts, if there is one.
+    pub(crate) product: Option<(Part, f64)>,
+    /// Share of even chances under the first contexts: it limits the cost of new outcomes when the forecast without habits is far off.
+    pub(crate) even: f64,
+}
+
 #[derive(Debug, Clone)]
-pub(crate) struct Pool<const N: usize, const M: usize> {
-    pub(crate) mixture: FixedShare<N>,
-    /// Per forecast its power and the information about it.
-    pub(crate) powers: [[f64; 2]; M],
-    /// Per forecast, mean and variance of its logarithm under the latest product.
-    expected: [[f64; 2]; M],
+pub(crate) struct Pool {
+    plan: &'static Plan,
+    pub(crate) mixture: FixedShare,
+    /// Per factor of the product its power and the information about it.
+    powers: Vec<[f64; 2]>,
+    /// Per factor, mean and variance of its logarithm under the latest product.
+    expected: Vec<[f64; 2]>,
     /// The latest forecasts and their product, row by row.
     rows: Vec<f64>,
+    /// Per row, the share of the first row in it.
+    pub(crate) kept: Vec<f64>,
+    /// Own observations in the first contexts of expert 1.
+    pub(crate) observations: [f64; 4],
     logs: Vec<f32>,
     width: usize,
     without: Option<usize>,
@@ -50,14 +112,26 @@ fn ln(x: f32) -> f32 {
     exponent * std::f32::consts::LN_2 + 2.0 * t * (1.0 + square * (1.0 / 3.0 + square * 0.2))
 }
 
-impl<const N: usize, const M: usize> Pool<N, M> {
-    /// The first expert starts with the weight `first`; the others divide the rest by `prior`.
-    pub(crate) fn new(first: f64, prior: [f64; N], powers: [f64; M], has: [bool; N]) -> Self {
+impl Pool {
+    /// `first` is the first weight of the forecast without habits.
+    pub(crate) fn new(plan: &'static Plan, first: f64, without: Without) -> Self {
+        let uses = |part: Option<Part>| part.is_none_or(|part| without.uses(part));
+        let weight = |part, prior| if uses(part) { prior } else { 0.0 };
+        let experts = plan.experts.iter().map(|expert| weight(expert.part, expert.prior));
+        let product = plan.product.map(|(part, prior)| weight(Some(part), prior));
+        let factors = if plan.product.is_some() { plan.experts } else { &[] };
+        let power = |expert: &Expert| match uses(expert.part) {
+            true => [expert.power, FIRST_INFORMATION],
+            false => [0.0, f64::MAX],
+        };
         Self {
-            mixture: FixedShare::beginning_with(first, FixedShare::of(prior, has)),
-            powers: std::array::from_fn(|at| if has[at] { [powers[at], FIRST_INFORMATION] } else { [0.0, f64::MAX] }),
-            expected: [[0.0; 2]; M],
+            plan,
+            mixture: FixedShare::new(first, experts.chain(product)),
+            powers: factors.iter().map(power).collect(),
+            expected: vec![[0.0; 2]; factors.len()],
             rows: Vec::new(),
+            kept: vec![0.0; plan.experts.len()],
+            observations: [0.0; 4],
             logs: Vec::new(),
             width: 0,
             without: None,
@@ -65,13 +139,13 @@ impl<const N: usize, const M: usize> Pool<N, M> {
         }
     }
 
-    /// The rows for forecasts of `width` outcomes; the outcome `without` cannot happen.
-    pub(crate) fn begin(&mut self, width: usize, without: Option<usize>) -> [&mut [f64]; M] {
+    /// Begins forecasts of `width` outcomes; the rows must exclude the outcome `without`.
+    pub(crate) fn begin(&mut self, width: usize, without: Option<usize>) {
         (self.width, self.without) = (width, without);
         self.rows.clear();
-        self.rows.resize(N * width, 0.0);
-        let mut rest = self.rows.as_mut_slice();
-        std::array::from_fn(|_| rest.split_off_mut(..width).unwrap_or_default())
+        self.rows.resize(self.mixture.weights().len() * width, 0.0);
+        self.kept.fill(0.0);
+        self.kept[0] = 1.0;
     }
 
     /// Drops the latest forecast, so that nothing is learned from it.
@@ -84,18 +158,60 @@ impl<const N: usize, const M: usize> Pool<N, M> {
         self.width
     }
 
-    /// The probability that a row gives to an outcome, given that `without` does not happen.
-    pub(crate) fn given(&self, row: usize, outcome: usize) -> f64 {
-        let row = &self.rows[row * self.width..][..self.width];
-        let left = self.without.map_or(1.0, |without| 1.0 - row[without]);
-        if self.without == Some(outcome) { 0.0 } else { row[outcome] / left.max(1e-9) }
+    pub(crate) fn row(&self, expert: usize) -> &[f64] {
+        &self.rows[expert * self.width..][..self.width]
     }
 
+    pub(crate) fn row_mut(&mut self, expert: usize) -> &mut [f64] {
+        &mut self.rows[expert * self.width..][..self.width]
+    }
+
+    /// Mixes what the contexts have seen over the rows. `index` gives the outcome of a counted symbol.
+    pub(crate) fn smooth(&mut self, view: &View<'_>, context: &Context, index: impl Fn(u16) -> Option<usize>) {
+        for (at, expert) in self.plan.experts.iter().enumerate() {
+            self.pass_on(at, 0);
+            for (depth, level) in expert.levels.iter().enumerate() {
+                let (left, seen) = view.smooth(level, context, &index, self.row_mut(at));
+                self.kept[at] *= left;
+                if at == 1
+                    && let Some(own) = self.observations.get_mut(depth)
+                {
+                    *own = seen;
+                }
+                self.pass_on(at, depth + 1);
+            }
+        }
+    }
+
+    /// Copies a row to the experts that begin with it.
+    fn pass_on(&mut self, from: usize, depth: usize) {
+        let (width, even) = (self.width, if from == 0 { self.plan.even } else { 0.0 });
+        for (to, expert) in self.plan.experts.iter().enumerate() {
+            if expert.begin == Begin::After(from, depth) {
+                self.rows.copy_within(from * width..(from + 1) * width, to * width);
+                self.kept[to] = (1.0 - even) * self.kept[from];
+                self.row_mut(to).iter_mut().for_each(|p| *p = (1.0 - even) * *p + even / width as f64);
+            }
+        }
+    }
+
+    /// Mixes the rows.
     pub(crate) fn forecast(&mut self) {
-        let width = self.width;
+        if !self.powers.is_empty() {
+            self.multiply();
+        }
+        self.mixed.clear();
+        self.mixed.resize(self.width, 0.0);
+        for (row, weight) in self.rows.chunks_exact(self.width.max(1)).zip(self.mixture.weights()) {
+            self.mixed.iter_mut().zip(row).for_each(|(mixed, p)| *mixed += weight * p);
+        }
+    }
+
+    fn multiply(&mut self) {
+        let (width, factors) = (self.width, self.powers.len());
         self.logs.clear();
-        self.logs.resize((M + 1) * width, 0.0);
-        let (rows, product) = self.rows.split_at_mut(M * width);
+        self.logs.resize((factors + 1) * width, 0.0);
+        let (rows, product) = self.rows.split_at_mut(factors * width);
         let (sums, logs) = self.logs.split_at_mut(width);
         for ((logs, row), [power, _]) in
             logs.chunks_exact_mut(width.max(1)).zip(rows.chunks_exact(width.max(1))).zip(&self.powers)
@@ -110,50 +226,72 @@ impl<const N: usize, const M: usize> Pool<N, M> {
         }
         let greatest = sums.iter().copied().fold(f32::NEG_INFINITY, f32::max).max(f32::MIN);
         sums.iter_mut().for_each(|sum| *sum = (*sum - greatest).exp());
-        let total: f32 = sums.iter().sum();
+        let total: f64 = sums.iter().copied().map(f64::from).sum();
         let scale = if total > 0.0 { 1.0 / total } else { 0.0 };
-        product.iter_mut().zip(&*sums).for_each(|(p, sum)| *p = f64::from(sum * scale));
+        product.iter_mut().zip(&*sums).for_each(|(p, sum)| *p = scale * f64::from(*sum));
         for (expected, logs) in self.expected.iter_mut().zip(logs.chunks_exact(width.max(1))) {
             let (mut mean, mut square) = (0.0, 0.0);
             for (log, sum) in logs.iter().zip(&*sums) {
                 mean += sum * log;
                 square += sum * log * log;
             }
-            let mean = f64::from(scale * mean);
-            *expected = [mean, f64::from(scale * square) - mean * mean];
-        }
-        self.mixed.clear();
-        self.mixed.resize(width, 0.0);
-        for (row, weight) in self.rows.chunks_exact(width.max(1)).zip(self.mixture.weights()) {
-            let left = self.without.map_or(1.0, |without| 1.0 - row[without]);
-            let weight = weight / left.max(1e-9);
-            self.mixed.iter_mut().zip(row).for_each(|(mixed, p)| *mixed += weight * p);
-        }
-        self.without.into_iter().for_each(|without| self.mixed[without] = 0.0);
-        let total: f64 = self.mixed.iter().sum();
-        if total > 0.0 {
-            self.mixed.iter_mut().for_each(|mixed| *mixed /= total);
+            let mean = scale * f64::from(mean);
+            *expected = [mean, scale * f64::from(square) - mean * mean];
         }
     }
 
     pub(crate) fn learn(&mut self, outcome: usize, share: f64) {
-        self.mixture.learn(&std::array::from_fn(|row| self.given(row, outcome)), share, 1.0);
-        for (row, ([power, information], [expected, varies])) in self.powers.iter_mut().zip(self.expected).enumerate() {
-            let p = self.rows[row * self.width + outcome];
-            let steep = (f64::from(ln((p as f32).max(FLOOR))) - expected).clamp(-STEEPEST, STEEPEST);
+        let Self { mixture, powers, expected, rows, width, .. } = self;
+        mixture.learn(|row| rows[row * *width + outcome], share, 1.0);
+        for (row, ([power, information], [expected, varies])) in powers.iter_mut().zip(expected).enumerate() {
+            let p = rows[row * *width + outcome];
+            let steep = (f64::from(ln((p as f32).max(FLOOR))) - *expected).clamp(-STEEPEST, STEEPEST);
             *information = KEPT * *information + varies.max(0.0) + (1.0 - KEPT) * INFORMATION;
             *power = (*power + steep / *information).clamp(*POWERS.start(), *POWERS.end());
         }
     }
 
-    /// The share of each forecast in an outcome's probability. Each factor's share of the product is its power.
-    pub(crate) fn parts(&self, outcome: usize) -> [f64; M] {
-        let powers = self.powers.map(|[power, _]| power.max(0.0));
-        let of_all = powers.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+    /// The learned numbers: weights, then powers.
+    pub(crate) fn learned(&self) -> impl Iterator<Item = f64> {
+        self.mixture.weights().iter().chain(self.powers.as_flattened()).copied()
+    }
+
+    /// Restores learned numbers, and returns those after them. Impossible numbers are learned again.
+    pub(crate) fn restore<'a>(&mut self, learned: &'a [f64]) -> Option<&'a [f64]> {
+        let (weights, rest) = learned.split_at_checked(self.mixture.weights().len())?;
+        let (powers, rest) = rest.split_at_checked(2 * self.powers.len())?;
+        self.mixture.restore(weights);
+        let powers = powers.as_chunks().0;
+        let is_possible = |[power, known]: &[f64; 2]| POWERS.contains(power) && (0.0..=MOST).contains(known);
+        if powers.iter().all(is_possible) {
+            self.powers.copy_from_slice(powers);
+        }
+        Some(rest)
+    }
+
+    /// Counts an outcome in every context.
+    pub(crate) fn count(&self, counts: &mut Counts, slot: u8, context: &Context, symbol: u16, at_s: f64) {
+        for level in self.plan.experts.iter().flat_map(|expert| expert.levels) {
+            let (times, after) = context.numbers(level.part);
+            counts.add(key(level.part, with_times(slot, times), after), symbol, 1.0, minute(at_s));
+        }
+    }
+
+    /// The share of each source in an outcome's probability. Each factor's share of the product is its power.
+    pub(crate) fn explain(&self, outcome: usize) -> [f64; 4] {
+        let power = |row: usize| self.powers.get(row).map_or(0.0, |[power, _]| power.max(0.0));
+        let experts = self.plan.experts;
+        let of_all = (0..experts.len()).map(power).sum::<f64>().max(f64::MIN_POSITIVE);
         let weights = self.mixture.weights();
-        let of = |row: usize| weights[row] * self.given(row, outcome);
-        let parts: [f64; M] = std::array::from_fn(|row| of(row) + of(M) * powers[row] / of_all);
-        let total = parts.iter().sum::<f64>().max(f64::MIN_POSITIVE);
-        parts.map(|part| part / total)
+        let of_product = weights.get(experts.len()).map_or(0.0, |weight| weight * self.row(experts.len())[outcome]);
+        let mut shares = [0.0; 4];
+        for (row, expert) in experts.iter().enumerate() {
+            let part = weights[row] * self.row(row)[outcome] + of_product * power(row) / of_all;
+            let of_model = (self.kept[row] * self.row(0)[outcome] / self.row(row)[outcome]).min(1.0);
+            shares[Source::Model as usize] += part * of_model;
+            shares[expert.source as usize] += part * (1.0 - of_model);
+        }
+        let total = shares.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        shares.map(|share| share / total)
     }
 }

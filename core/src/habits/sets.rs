@@ -83,7 +83,6 @@ pub struct AdaptiveSets {
     weight: f64,
     total: f64,
     threshold: f64,
-    outcomes: u64,
 }
 
 impl AdaptiveSets {
@@ -98,16 +97,9 @@ impl AdaptiveSets {
             weight: 1.0,
             total: 0.0,
             threshold: 0.0,
-            outcomes: 0,
         };
         sets.threshold = sets.least();
         sets
-    }
-
-    /// Number of outcomes that were learned.
-    #[must_use]
-    pub fn outcomes(&self) -> u64 {
-        self.outcomes
     }
 
     /// The threshold.
@@ -183,7 +175,6 @@ impl AdaptiveSets {
         self.miss += self.options.step * (asked - f64::from(u8::from(!hit)));
         // Beyond 0 and 1 sets hold all places or no place, until a long series of misses or hits is balanced.
         self.miss = self.miss.clamp(-SERIES, 1.0 + SERIES);
-        self.outcomes = self.outcomes.saturating_add(1);
         self.threshold = self.least();
     }
 
@@ -201,18 +192,17 @@ impl AdaptiveSets {
         self.total += self.weight;
     }
 
-    /// State for restarts: the share of misses, the outcomes, and the weighted number of true places per class.
-    pub(crate) fn state(&self) -> (f64, u64, impl ExactSizeIterator<Item = f32>) {
-        (self.miss, self.outcomes, self.seen.iter().map(|seen| (seen / self.weight) as f32))
+    /// State for restarts: the share of misses, and the weighted number of true places per class.
+    pub(crate) fn state(&self) -> (f64, Vec<f32>) {
+        (self.miss, self.seen.iter().map(|seen| (seen / self.weight) as f32).collect())
     }
 
     /// Restores a state without its impossible values.
-    pub(crate) fn restore(&mut self, miss: f64, outcomes: u64, seen: &[f32]) {
+    pub(crate) fn restore(&mut self, miss: f64, seen: &[f32]) {
         self.weight = 1.0;
         let possible = |seen: &f32| if seen.is_finite() && *seen > 0.0 { f64::from(*seen) } else { 0.0 };
         self.seen.iter_mut().zip(seen).for_each(|(own, seen)| *own = possible(seen));
         self.total = self.seen.iter().sum();
-        self.outcomes = outcomes;
         if miss.is_finite() {
             self.miss = miss.clamp(-SERIES, 1.0 + SERIES);
         }
@@ -299,10 +289,9 @@ mod tests {
             sets.set(&p, sets.issue(), &mut set);
             let least_in = (0..p.len()).filter(|i| set[*i]).map(|i| p[i]).fold(f64::INFINITY, f64::min);
             prop_assert!((0..p.len()).all(|i| set[i] || p[i] <= least_in) && set.contains(&true));
-            let (miss, outcomes, seen) = sets.state();
-            let seen: Vec<f32> = seen.collect();
+            let (miss, seen) = sets.state();
             let mut again = AdaptiveSets::new(SetOptions::default());
-            again.restore(miss, outcomes, &seen);
+            again.restore(miss, &seen);
             let mut other = Vec::new();
             again.set(&p, again.issue(), &mut other);
             prop_assert_eq!(set, other);

@@ -15,33 +15,46 @@
 
 use std::collections::VecDeque;
 
+use super::context::{CLASSES_S, Context, minute, time_class};
 use super::counts::Counts;
-use super::key::{Kind, NONE, key};
-use super::leaving::{EXITS, Leaving, MINUTES, SHIPPED_AWAY_S, Stay, exit_contexts, stay_contexts};
-use super::mixture::FixedShare;
-use super::moment::{self, CLASSES_S, PART_HOURS, time_class};
+use super::leaving::{EXIT, EXITS, Leaving, MINUTES, SHIPPED_AWAY_S, Stay, stay_parts};
 use super::names::{ELSEWHERE, Home};
-use super::parts::{Expert, Without};
-use super::rooms::normalise;
+use super::parts::{NONE, Part, Without, key};
+use super::pool::{Begin, Plan, Pool, Source, expert};
 use super::sets::{AdaptiveSets, Issued, SetOptions};
-use super::whose::View;
+use super::view::{Level, View, level, normalise};
 
 /// Horizons at which the weights are learned, in seconds.
 pub(crate) const ANCHORS_S: [f64; 4] = [60.0, 300.0, 900.0, 3_600.0];
 pub(crate) const EXPERTS: usize = 4;
-pub(crate) const PRIOR: [f64; EXPERTS] = [0.4, 0.2, 0.2, 0.2];
-pub(crate) const SHARE: f64 = 0.0005;
+const SHARE: f64 = 0.0005;
 const SHIPPED: usize = 0;
 const LEAVING: usize = 1;
 const BY_PLACE: usize = 2;
 const LATER: usize = 3;
+const PLAN: Plan = Plan {
+    experts: &[
+        expert(None, [0.4, 0.0], Source::Model, Begin::Given, &[]),
+        expert(Some(Part::Leaving), [0.2, 0.0], Source::Habit, Begin::Given, &[]),
+        expert(Some(Part::ByPlace), [0.2, 0.0], Source::Habit, Begin::Given, &[level(Part::LaterByPlace, 0.0, 8.0)]),
+        expert(
+            Some(Part::Later),
+            [0.2, 0.0],
+            Source::Hour,
+            Begin::After(BY_PLACE, 1),
+            &[level(Part::LaterByHour, 0.0, 40.0), level(Part::LaterByDwell, 0.0, 40.0)],
+        ),
+    ],
+    product: None,
+    even: 0.0,
+};
+/// First weight of the forecast without habits.
+const FIRST: f64 = 0.4;
 /// Least time between forecasts that are kept for learning. Outcomes that are closer together than their horizon are alike: they count as if they
 /// came once a horizon.
 const SAMPLE_S: f64 = 60.0;
 /// After a longer silence of the whole system the time is not counted as a stay.
 const GAP_S: f64 = 36.0 * 3_600.0;
-/// Samples that the wider level is worth.
-const LATER_STRENGTH: [f64; 3] = [8.0, 40.0, 40.0];
 /// Samples at the start of a horizon; half of them stayed.
 const SAMPLED: f64 = 2.0;
 /// Least probability for learning weights: one surprise must not silence an expert that was right for long. The mixture's bound holds for forecasts
@@ -66,7 +79,8 @@ struct Waiting {
 /// One horizon.
 #[derive(Debug, Clone)]
 pub(crate) struct Anchor {
-    pub(crate) mixture: FixedShare<EXPERTS>,
+    /// The weights, and the rows of by place and later in the latest forecast.
+    pub(crate) pool: Pool,
     /// Samples in which the person was in the same place, and all samples.
     pub(crate) stayed: [f64; 2],
     pub(crate) sets: AdaptiveSets,
@@ -91,8 +105,6 @@ pub(crate) struct Stays {
 struct Scratch {
     /// The experts' probabilities and the mixture's, row by row.
     rows: Vec<f64>,
-    /// Per anchor the rows of by place and later.
-    anchored: Vec<f64>,
     /// Per horizon the row of leaving.
     ahead: Vec<f64>,
     leaving: Leaving,
@@ -100,10 +112,8 @@ struct Scratch {
 
 impl Stays {
     pub(crate) fn new(sets: SetOptions, without: Without) -> Self {
-        let uses = |expert: Expert| without.uses(expert as u8);
-        let prior = FixedShare::of(PRIOR, [true, uses(Expert::Leaving), uses(Expert::ByPlace), uses(Expert::Later)]);
         let anchor = || Anchor {
-            mixture: FixedShare::new(prior),
+            pool: Pool::new(&PLAN, FIRST, without),
             stayed: [0.5 * SAMPLED, SAMPLED],
             sets: AdaptiveSets::new(sets),
             waiting: VecDeque::new(),
@@ -166,9 +176,9 @@ impl Stays {
     }
 
     fn add_stay(&self, counts: &mut Counts, slot: u8, at_s: f64, symbol: u16, weight: f64) {
-        let spent = time_class(at_s - self.entered_s);
-        for (kind, after) in stay_contexts(self.place, spent, moment::part_of_day(at_s, PART_HOURS)) {
-            counts.add(key(kind, slot, after), symbol, weight, moment::minute(at_s));
+        let context = Context::of_stay(self.place, time_class(at_s - self.entered_s), at_s);
+        for part in stay_parts(self.place) {
+            counts.add(key(*part, slot, context.numbers(*part).1), symbol, weight, minute(at_s));
         }
     }
 
@@ -186,8 +196,9 @@ impl Stays {
         let has_arrived = was_back && number != ELSEWHERE && now_s - self.entered_s <= ARRIVAL_S;
         let from = if has_arrived { ELSEWHERE } else { self.place };
         if from != NONE && number != NONE && learn {
-            for context in exit_contexts(from, moment::part_of_day(now_s, PART_HOURS)) {
-                counts.add(key(context.0, slot, context.1), number, 1.0, moment::minute(now_s));
+            let context = Context::of_stay(from, 0, now_s);
+            for Level { part, .. } in EXIT {
+                counts.add(key(part, slot, context.numbers(part).1), number, 1.0, minute(now_s));
             }
         }
         self.before = std::mem::replace(&mut self.place, number);
@@ -226,12 +237,10 @@ impl Stays {
                 }
                 anchor.stayed[1] += 1.0;
                 anchor.stayed[0] += f64::from(u8::from(truth == place));
-                for (kind, after) in later_contexts(place, index, at_s, at_s - entered_s) {
-                    counts.add(key(kind, slot, after), truth, 1.0, moment::minute(at_s));
-                }
+                anchor.pool.count(counts, slot, &later_context(place, index, at_s, at_s - entered_s), truth, at_s);
                 if let Some(truth) = home.places.index(truth).filter(|_| rows.len() == (EXPERTS + 1) * places) {
-                    let given = std::array::from_fn(|expert| rows[expert * places + truth].max(FLOOR));
-                    anchor.mixture.learn(&given, SHARE, (SAMPLE_S / horizon_s).min(1.0));
+                    let given = |expert: usize| rows[expert * places + truth].max(FLOOR);
+                    anchor.pool.mixture.learn(given, SHARE, (SAMPLE_S / horizon_s).min(1.0));
                     anchor.sets.learn(&rows[EXPERTS * places..], issued, truth);
                 }
             }
@@ -239,13 +248,7 @@ impl Stays {
     }
 
     /// Keeps a forecast to learn from later. `shipped` writes the forecast without habits.
-    pub(crate) fn sample(
-        &mut self,
-        view: View<'_>,
-        now_s: f64,
-        next_rooms: &[f64],
-        shipped: &mut dyn FnMut(f64, &mut [f64]),
-    ) {
+    pub(crate) fn sample(&mut self, view: &View<'_>, now_s: f64, shipped: &mut dyn FnMut(f64, &mut [f64])) {
         self.sampled_s = now_s;
         let places = view.home.places();
         let mut own = vec![0.0; ANCHORS_S.len() * places];
@@ -253,7 +256,7 @@ impl Stays {
         let (place, entered_s) = (self.place, self.entered_s);
         let is_known = view.home.places.index(place).is_some();
         let mut rows = Vec::new();
-        self.forecast(view, (now_s, &ANCHORS_S), next_rooms, &mut own, |_, all| {
+        self.forecast(view, (now_s, &ANCHORS_S), &mut own, |_, all| {
             rows.push(if is_known { all.to_vec() } else { Vec::new() })
         });
         for (anchor, rows) in self.anchors.iter_mut().zip(rows) {
@@ -266,35 +269,33 @@ impl Stays {
     /// experts' weights and all rows, the mixture's last, to `given`.
     pub(crate) fn forecast(
         &mut self,
-        view: View<'_>,
+        view: &View<'_>,
         (now_s, horizons_s): (f64, &[f64]),
-        next_rooms: &[f64],
         out: &mut [f64],
         mut given: impl FnMut([f64; EXPERTS], &[f64]),
     ) {
         let places = view.home.places();
         let here = view.home.places.index(self.place);
         let mut scratch = std::mem::take(&mut self.scratch);
-        let Scratch { rows, anchored, ahead, leaving } = &mut scratch;
+        let Scratch { rows, ahead, leaving } = &mut scratch;
         if here.is_some() || self.is_back {
             let from = Stay { here, spent_s: now_s - self.entered_s };
-            leaving.forecast(view, from, now_s, next_rooms, horizons_s, ahead);
+            leaving.forecast(view, from, (now_s, horizons_s), ahead);
         }
-        anchored.clear();
-        anchored.resize(ANCHORS_S.len() * 2 * places, 0.0);
         if let Some(here) = here {
-            for (index, rows) in anchored.chunks_exact_mut(2 * places).enumerate() {
-                if horizons_s.iter().any(|horizon_s| between(*horizon_s).uses(index)) {
-                    let (by_place, later) = rows.split_at_mut(places);
-                    self.persistence(index, here, by_place);
-                    let contexts = later_contexts(self.place, index, now_s, now_s - self.entered_s);
-                    for (at, (context, strength)) in contexts.into_iter().zip(LATER_STRENGTH).enumerate() {
-                        let row = if at == 0 { &mut *by_place } else { &mut *later };
-                        view.smooth(context, (0.0, strength), |number| view.home.places.index(number), row);
-                        if at == 0 {
-                            later.copy_from_slice(by_place);
-                        }
-                    }
+            for index in 0..ANCHORS_S.len() {
+                let is_used = |horizon_s: &f64| {
+                    between(*horizon_s).iter().any(|(own, share)| *own == Some(index) && *share > 0.0)
+                };
+                if horizons_s.iter().any(is_used) {
+                    let stay = self.persistence(index, places);
+                    let pool = &mut self.anchors[index].pool;
+                    pool.begin(places, None);
+                    let by_place = pool.row_mut(BY_PLACE);
+                    by_place.fill((1.0 - stay) / (places - 1).max(1) as f64);
+                    by_place[here] = stay;
+                    let context = later_context(self.place, index, now_s, now_s - self.entered_s);
+                    pool.smooth(view, &context, |number| view.home.places.index(number));
                 }
             }
         }
@@ -308,24 +309,23 @@ impl Stays {
                 rows[LEAVING * places..][..places].copy_from_slice(&ahead[at * places..][..places]);
             }
             if let Some(here) = here {
-                let Between { lower, upper, share } = between(*horizon_s);
-                for (index, part) in [(lower, 1.0 - share), (Some(upper), share)] {
-                    for (expert, row) in [BY_PLACE, LATER].into_iter().zip(0..) {
+                for (index, part) in between(*horizon_s).into_iter().filter(|(_, part)| *part > 0.0) {
+                    for expert in [BY_PLACE, LATER] {
                         let sums = &mut rows[expert * places..][..places];
                         match index {
                             Some(index) => {
-                                let of = &anchored[(2 * index + row) * places..][..places];
+                                let of = self.anchors[index].pool.row(expert);
                                 sums.iter_mut().zip(of).for_each(|(sum, p)| *sum += part * p);
                             }
                             // At time zero the person is in the present place.
                             None => sums[here] += part,
                         }
                     }
-                    let of = self.anchors[index.unwrap_or(upper)].mixture.weights();
+                    let of = self.anchors[index.unwrap_or(0)].pool.mixture.weights();
                     weights.iter_mut().zip(of).for_each(|(sum, weight)| *sum += part * weight);
                 }
             } else {
-                let returns = view.own(Kind::Exit, [ELSEWHERE, NONE, NONE]).filter(|_| self.is_back);
+                let returns = view.own(Part::Exit, &Context::of_stay(ELSEWHERE, 0, now_s)).filter(|_| self.is_back);
                 let seen: f64 = returns.map_or(0.0, |seen| seen.symbols().map(|(_, count)| count).sum());
                 weights[LEAVING] = seen / (seen + BACK_STRENGTH);
                 weights[SHIPPED] = 1.0 - weights[LEAVING];
@@ -346,8 +346,8 @@ impl Stays {
     /// The places of the set with the promised coverage, `horizon_s` ahead, for probabilities of [`Stays::forecast`]. For `another` kind of forecast,
     /// or with few outcomes, the fewest places whose sum is the coverage.
     pub(crate) fn set(&self, horizon_s: f64, probabilities: &[f64], another: bool, set: &mut Vec<bool>) {
-        let Between { lower, upper, share } = between(horizon_s);
-        let sets = &self.anchors[lower.filter(|_| share < 0.5).unwrap_or(upper)].sets;
+        let [(lower, rest), (upper, _)] = between(horizon_s);
+        let sets = &self.anchors[if rest > 0.5 { lower } else { upper }.unwrap_or(0)].sets;
         if another || sets.knows_little() {
             sets.cover(probabilities, set);
         } else {
@@ -355,55 +355,33 @@ impl Stays {
         }
     }
 
-    fn persistence(&self, index: usize, here: usize, p: &mut [f64]) {
+    /// The probability of the same place a horizon later.
+    fn persistence(&self, index: usize, places: usize) -> f64 {
         let [stayed, sampled] = self.anchors[index].stayed;
-        // Stays in rooms do not predict the length of an absence.
-        let stay = match self.place {
+        match self.place {
+            _ if places < 2 => 1.0,
+            // Stays in rooms do not predict the length of an absence.
             ELSEWHERE => (SHIPPED_AWAY_S / (SHIPPED_AWAY_S + ANCHORS_S[index])).powi(2),
             _ => stayed / sampled,
-        };
-        let others = p.len() - 1;
-        p.fill((1.0 - stay) / others.max(1) as f64);
-        p[here] = if others > 0 { stay } else { 1.0 };
-    }
-}
-
-/// The contexts of the place a horizon later.
-fn later_contexts(place: u16, horizon: usize, at_s: f64, spent_s: f64) -> [(Kind, [u16; 3]); 3] {
-    let horizon = horizon as u16;
-    [
-        (Kind::Later, [place, horizon, NONE]),
-        (Kind::LaterHour, [place, horizon, moment::part_of_day(at_s, 3)]),
-        (Kind::LaterDwell, [place, horizon << 8 | time_class(spent_s), moment::part_of_day(at_s, 2)]),
-    ]
-}
-
-/// The anchors below and above a horizon, and the share of the latter.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Between {
-    lower: Option<usize>,
-    upper: usize,
-    share: f64,
-}
-
-impl Between {
-    fn uses(self, index: usize) -> bool {
-        self.upper == index || self.lower == Some(index)
-    }
-}
-
-fn between(horizon_s: f64) -> Between {
-    let last = ANCHORS_S.len() - 1;
-    let Some(upper) = ANCHORS_S.iter().position(|anchor_s| horizon_s <= *anchor_s) else {
-        return Between { lower: Some(last), upper: last, share: 1.0 };
-    };
-    match upper.checked_sub(1) {
-        None => Between { lower: None, upper: 0, share: (horizon_s / ANCHORS_S[0]).clamp(0.0, 1.0) },
-        Some(lower) => {
-            let share = (horizon_s / ANCHORS_S[lower]).ln() / (ANCHORS_S[upper] / ANCHORS_S[lower]).ln();
-            Between { lower: Some(lower), upper, share }
         }
     }
+}
+
+/// The context of the place a horizon later.
+fn later_context(place: u16, horizon: usize, at_s: f64, spent_s: f64) -> Context {
+    Context { horizon: horizon as u16, ..Context::of_stay(place, time_class(spent_s), at_s) }
+}
+
+/// The anchors before and after a horizon, each with its share; `None` is the present.
+fn between(horizon_s: f64) -> [(Option<usize>, f64); 2] {
+    let upper = ANCHORS_S.iter().position(|anchor_s| horizon_s <= *anchor_s).unwrap_or(ANCHORS_S.len() - 1);
+    let lower = upper.checked_sub(1);
+    let share = match lower {
+        None => horizon_s / ANCHORS_S[0],
+        Some(lower) => (horizon_s / ANCHORS_S[lower]).ln() / (ANCHORS_S[upper] / ANCHORS_S[lower]).ln(),
+    };
+    let share = share.clamp(0.0, 1.0);
+    [(lower, 1.0 - share), (Some(upper), share)]
 }
 
 #[cfg(test)]
@@ -412,11 +390,11 @@ mod tests {
 
     #[test]
     fn times_between_the_anchors_are_interpolated() {
-        assert_eq!(between(0.0), Between { lower: None, upper: 0, share: 0.0 });
-        assert_eq!(between(60.0), Between { lower: None, upper: 0, share: 1.0 });
-        assert_eq!(between(1e9), Between { lower: Some(3), upper: 3, share: 1.0 });
-        let Between { lower, upper, share } = between(150.0);
-        assert_eq!((lower, upper), (Some(0), 1));
+        assert_eq!(between(0.0), [(None, 1.0), (Some(0), 0.0)]);
+        assert_eq!(between(60.0), [(None, 0.0), (Some(0), 1.0)]);
+        assert_eq!(between(1e9), [(Some(2), 0.0), (Some(3), 1.0)]);
+        let [(lower, _), (upper, share)] = between(150.0);
+        assert_eq!((lower, upper), (Some(0), Some(1)));
         assert!((0.5..0.6).contains(&share));
     }
 }

@@ -293,7 +293,7 @@ mod tests {
         (0..=180).for_each(|minute| {
             memory.habits.tick(PersonId(7), 1e9 + 60.0 * f64::from(minute), &mut |_, p| p.fill(0.5))
         });
-        memory.habits = Habits::from_bytes(HabitsOptions::default(), &memory.habits.to_bytes()).unwrap();
+        memory.habits = Habits::from_stored(HabitsOptions::default(), memory.habits.stored()).unwrap();
         let mut board = board(memory);
         let (answer, _) = answer(&mut board, &mut Importing::default(), Ok(HabitsQuestion::Show), BootNs(0));
         let line = &answer.persons[0];

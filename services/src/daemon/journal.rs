@@ -35,6 +35,7 @@ use crate::state_file;
 mod forget;
 mod learned;
 mod old;
+mod old_habits;
 mod record;
 mod recovered;
 mod store;

@@ -14,6 +14,7 @@ use roomcast_core::parsing::{Keyed, json_says};
 use roomcast_ipc::Sender as Port;
 use roomcast_ipc::raw::NAME_BYTES;
 
+use super::old_habits;
 use super::record::{Expectation, KeptPerson, Move, Moved, Record};
 use crate::daemon::habits::{Heard, Memory};
 use crate::state_file;
@@ -121,7 +122,7 @@ pub fn memory(bytes: &[u8], options: HabitsOptions) -> Result<Memory, String> {
     let count = take_u32(&mut rest).filter(|count| *count <= NAMES_MAX && !watched_until_s.is_nan());
     let count = count.ok_or("it says something impossible")?;
     let heard = (0..count).map(|_| take_event(&mut rest)).collect::<Option<Vec<_>>>().ok_or_else(early)?;
-    let habits = Habits::from_bytes(options, rest).map_err(|error| error.to_string())?;
+    let habits = Habits::from_stored(options, old_habits::stored(rest)?).map_err(|error| error.to_string())?;
     Ok(Memory { habits, heard: Heard::new(heard), watched_until_s })
 }
 

@@ -599,7 +599,7 @@ fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
     drop(own);
     let (mut own, recovered) = writer(directory.path(), 1 << 20);
     let again = recovered.habits.unwrap().memory(options).unwrap();
-    assert_eq!(again.habits.to_bytes(), memory.habits.to_bytes());
+    assert_eq!(again.habits.stored(), memory.habits.stored());
     assert_eq!((again.heard, again.watched_until_s), (memory.heard.clone(), memory.watched_until_s));
     // A flipped bit that SQLite does not see.
     other.execute("UPDATE habit SET count = count + 1", []).unwrap();

@@ -1,0 +1,133 @@
+//! What a person's counts add to a forecast, over those of the other persons in the home.
+//!
+//! Absolute discount with interpolation, as in Kneser-Ney smoothing and the sequence memoizer: what a context has seen keeps its count less a
+//! discount, and what that frees goes to the forecast of the shorter context:
+//!
+//! ```text
+//! p(w) = (n_w - d_w) / (N + c) + (c + D) / (N + c) p'(w),   d_w = min(d, n_w),  D = sum of d_w
+//! ```
+
+use super::context::Context;
+use super::counts::{Counts, Seen};
+use super::names::Home;
+use super::parts::{Part, Without, key, with_times};
+
+/// Most other persons in a prior: those with the most observations.
+pub(crate) const OTHERS_MAX: usize = 3;
+/// Own observations that outweigh one observation of another person.
+const OTHERS_STRENGTH: f64 = 4.0;
+
+/// A context whose counts are mixed over the forecast of a shorter one.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Level {
+    pub(crate) part: Part,
+    pub(crate) discount: f64,
+    /// Observations that the shorter context is worth.
+    pub(crate) concentration: f64,
+}
+
+pub(crate) const fn level(part: Part, discount: f64, concentration: f64) -> Level {
+    Level { part, discount, concentration }
+}
+
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct View<'a> {
+    pub(crate) counts: &'a Counts,
+    pub(crate) home: &'a Home,
+    pub(crate) slot: u8,
+    pub(crate) others: [Option<u8>; OTHERS_MAX],
+    pub(crate) now_min: u32,
+    pub(crate) without: Without,
+}
+
+impl<'a> View<'a> {
+    /// The person's counts in a context, if it is used.
+    pub(crate) fn own(&self, part: Part, context: &Context) -> Option<Seen<'a>> {
+        let (times, after) = context.numbers(part);
+        let key = key(part, with_times(self.slot, times), after);
+        self.without.uses(part).then(|| self.counts.get(key, self.now_min)).flatten()
+    }
+
+    /// The counts in a context, each with its strength: first the others', then the person's.
+    pub(crate) fn seen(&self, part: Part, context: &Context) -> impl Iterator<Item = (Seen<'a>, f64)> {
+        let others = self.others.into_iter().flatten().map(|slot| (slot, OTHERS_STRENGTH));
+        let slots = others.chain([(self.slot, 1.0)]);
+        slots.filter_map(move |(slot, strength)| Some((View { slot, ..*self }.own(part, context)?, strength)))
+    }
+
+    /// Mixes a context over the forecast `p` of a shorter one. `index` gives the place of a symbol in `p`; symbols that have none are left out. Returns
+    /// the shorter one's remaining weight, and the person's own observations.
+    pub(crate) fn smooth(
+        &self,
+        level: &Level,
+        context: &Context,
+        index: impl Fn(u16) -> Option<usize>,
+        p: &mut [f64],
+    ) -> (f64, f64) {
+        let (mut kept, mut own) = (1.0, 0.0);
+        for (seen, strength) in self.seen(level.part, context) {
+            let (left, total) = smooth(seen, level.discount, strength * level.concentration, &index, p);
+            kept *= left;
+            own = if strength == 1.0 { total } else { own };
+        }
+        (kept, own)
+    }
+}
+
+fn smooth(
+    seen: Seen<'_>,
+    discount: f64,
+    concentration: f64,
+    index: impl Fn(u16) -> Option<usize>,
+    p: &mut [f64],
+) -> (f64, f64) {
+    let (mut total, mut freed) = (0.0, 0.0);
+    seen.symbols().filter(|(symbol, _)| index(*symbol).is_some()).for_each(|(_, count)| {
+        total += count;
+        freed += count.min(discount);
+    });
+    if total <= 0.0 {
+        return (1.0, 0.0);
+    }
+    let scale = 1.0 / (total + concentration);
+    let kept = (concentration + freed) * scale;
+    p.iter_mut().for_each(|p| *p *= kept);
+    seen.symbols().for_each(|(symbol, count)| {
+        if let Some(p) = index(symbol).and_then(|index| p.get_mut(index)) {
+            *p += (count - count.min(discount)) * scale;
+        }
+    });
+    (kept, total)
+}
+
+/// Scales probabilities to a sum of one; uniform if all are zero.
+pub(crate) fn normalise(p: &mut [f64]) {
+    let total: f64 = p.iter().sum();
+    let even = 1.0 / p.len().max(1) as f64;
+    p.iter_mut().for_each(|p| *p = if total > 0.0 { *p / total } else { even });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::counts::Limits;
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn probabilities_stay_probabilities(
+            adds in prop::collection::vec((0..12u16, 0.1..3.0f64), 0..40),
+            discount in 0.0..1.0f64, concentration in 0.01..10.0f64,
+        ) {
+            let mut counts = Counts::new(Limits { rows: 4, blocks: 64, half_life_min: 0.0 });
+            for (symbol, weight) in adds {
+                counts.add(1, symbol, weight, 0);
+            }
+            let mut p = [0.1; 10];
+            let index = |symbol: u16| (symbol < 10).then_some(usize::from(symbol));
+            let (kept, total) = counts.get(1, 0).map_or((1.0, 0.0), |seen| smooth(seen, discount, concentration, index, &mut p));
+            prop_assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+            prop_assert!(p.iter().all(|p| *p > 0.0) && (0.0..=1.0).contains(&kept) && total >= 0.0);
+        }
+    }
+}

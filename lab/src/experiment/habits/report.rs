@@ -1,0 +1,218 @@
+//! The results of the experiment: losses by predictor, target and day, differences from the mixture, and sets.
+
+use serde::Serialize;
+
+use super::super::losses::{Intervals, Summary, Sums, difference, summarise};
+use super::watch::{MIXTURE, Watch};
+use super::{ALL, Days, HALF, Options, TARGETS, UNSEEN, cleaning};
+
+/// One line of the table.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// The days.
+    pub day: Days,
+    /// The predictor.
+    pub predictor: String,
+    /// The target.
+    pub target: &'static str,
+    /// Number of cases.
+    pub n: usize,
+    /// Mean negative log-likelihood in nats.
+    pub nll_nats: f64,
+    /// Mean reciprocal rank.
+    pub mrr: f64,
+    /// Share of cases whose likeliest outcome was right.
+    pub top1: f64,
+    /// Mean Brier score, 0 to 2.
+    pub brier: f64,
+    /// Expected calibration error.
+    pub ece: f64,
+    /// 95 % intervals by bootstrap over days; `None` for a single day.
+    pub ci95: Option<Intervals>,
+}
+
+/// The mixture's figures minus another predictor's, on the same cases, with intervals by bootstrap over the same days.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Difference {
+    /// The days.
+    pub day: Days,
+    /// The target.
+    pub target: &'static str,
+    /// The other predictor.
+    pub less: String,
+    /// Difference of the losses in nats.
+    pub nll_nats: f64,
+    /// Its 95 % interval.
+    pub nll_ci95: [f64; 2],
+    /// Difference of the shares of cases whose likeliest outcome was right.
+    pub top1: f64,
+    /// Its 95 % interval.
+    pub top1_ci95: [f64; 2],
+}
+
+/// Sets of places of one horizon.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Sets {
+    /// Time ahead, in seconds.
+    pub horizon_s: f64,
+    /// Promised coverage.
+    pub coverage_asked: f64,
+    /// Share of moments in which the set held the person.
+    pub coverage: f64,
+    /// Mean number of places in a set.
+    pub size_mean: f64,
+    /// Mean number of places in a set of the forecast without habits, with the same promise.
+    pub size_mean_shipped: f64,
+    /// Coverage of sets of the forecast without habits.
+    pub coverage_shipped: f64,
+    /// Coverage of sets that always have the likeliest place, as the daemon publishes them.
+    pub coverage_never_empty: f64,
+    /// Their mean number of places.
+    pub size_mean_never_empty: f64,
+}
+
+/// The result.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Report {
+    /// Days with cases.
+    pub days: usize,
+    /// Cases of the target `room`.
+    pub cases: usize,
+    /// The table.
+    pub rows: Vec<Row>,
+    /// The mixture against the other predictors, over all days and over the second half.
+    pub differences: Vec<Difference>,
+    /// The sets.
+    pub sets: Vec<Sets>,
+    /// The value of the forecasts to a robot.
+    pub cleaning: Vec<cleaning::Row>,
+    /// Number of scores that were computed because the cache lacked them.
+    pub computed: usize,
+    /// Amount of learned data.
+    pub learned: roomcast_core::habits::Learned,
+}
+
+/// Sums of losses by predictor, target and day: of all cases, and of cases in new activities.
+pub(super) struct Tally {
+    sums: Vec<Vec<Sums>>,
+    unseen: Vec<Vec<Sums>>,
+}
+
+impl Tally {
+    pub(super) fn new(predictors: usize) -> Self {
+        let none = vec![Vec::new(); predictors * TARGETS.len()];
+        Self { sums: none.clone(), unseen: none }
+    }
+
+    /// The sums of a stretch of days, of all in which anything was measured.
+    fn stretch(&self, predictor: usize, target: usize, day: Days) -> Vec<Sums> {
+        let of = if day == UNSEEN { &self.unseen } else { &self.sums };
+        let mut sums = of[predictor * TARGETS.len() + target].clone();
+        sums.resize(self.days(), Sums::default());
+        match day {
+            Days::One(day) => vec![sums[day - 1]],
+            HALF => sums.split_off(self.days() / 2),
+            Days::Some(_) => sums,
+        }
+    }
+
+    fn days(&self) -> usize {
+        self.sums.iter().map(Vec::len).max().unwrap_or(0)
+    }
+
+    pub(super) fn add(
+        &mut self,
+        predictor: usize,
+        target: usize,
+        (day, unseen): (usize, bool),
+        p: &[f64],
+        truth: usize,
+    ) {
+        for (sums, counts) in [(&mut self.sums, true), (&mut self.unseen, unseen)] {
+            let days = &mut sums[predictor * TARGETS.len() + target];
+            if days.len() <= day {
+                days.resize(day + 1, Sums::default());
+            }
+            if counts {
+                days[day].add(p, truth);
+            }
+        }
+    }
+}
+
+/// The table, and the differences from the mixture.
+fn rows(tally: &Tally, predictors: &[&str], seed: u64) -> (Vec<Row>, Vec<Difference>) {
+    let days = tally.days();
+    let whole = [ALL, HALF, UNSEEN].into_iter().filter(|stretch| *stretch != HALF || days > 1);
+    let (mut rows, mut differences) = (Vec::new(), Vec::new());
+    for (target, target_name) in TARGETS.iter().enumerate() {
+        for (predictor, predictor_name) in predictors.iter().enumerate() {
+            for day in (1..=days).map(Days::One).chain(whole.clone()) {
+                let groups = tally.stretch(predictor, target, day);
+                let summary: Summary = summarise(&groups, seed);
+                if summary.cases == 0 {
+                    continue;
+                }
+                rows.push(Row {
+                    day,
+                    predictor: (*predictor_name).to_owned(),
+                    target: target_name,
+                    n: summary.cases,
+                    nll_nats: summary.nll_nats,
+                    mrr: summary.mrr,
+                    top1: summary.top1,
+                    brier: summary.brier,
+                    ece: summary.ece,
+                    ci95: summary.ci95,
+                });
+                if predictor != MIXTURE
+                    && let less = difference(&tally.stretch(MIXTURE, target, day), &groups, seed)
+                    && let Some(ci95) = less.ci95
+                {
+                    differences.push(Difference {
+                        day,
+                        target: target_name,
+                        less: (*predictor_name).to_owned(),
+                        nll_nats: less.nll_nats,
+                        nll_ci95: ci95.nll_nats,
+                        top1: less.top1,
+                        top1_ci95: ci95.top1,
+                    });
+                }
+            }
+        }
+    }
+    (rows, differences)
+}
+
+pub(super) fn report(watch: &Watch<'_>, predictors: &[&str], options: &Options, computed: usize) -> Report {
+    let (rows, differences) = rows(&watch.tally, predictors, options.seed);
+    let sets = watch.horizons.iter().filter(|horizon| horizon.moments > 0.0);
+    let sets = sets.map(|horizon| Sets {
+        horizon_s: horizon.horizon_s,
+        coverage_asked: options.habits.sets.coverage,
+        coverage: horizon.held[0] / horizon.moments,
+        size_mean: horizon.size[0] / horizon.moments,
+        size_mean_shipped: horizon.size[1] / horizon.moments,
+        coverage_shipped: horizon.held[1] / horizon.moments,
+        coverage_never_empty: horizon.held[2] / horizon.moments,
+        size_mean_never_empty: horizon.size[2] / horizon.moments,
+    });
+    let all = |row: &&Row| row.day == ALL && row.target == "room" && row.predictor == "mixture";
+    let cases = rows.iter().find(all).map_or(0, |row| row.n);
+    let with_cases = rows.iter().filter(|row| matches!(row.day, Days::One(_)) && row.predictor == "mixture");
+    let mut numbers: Vec<usize> =
+        with_cases.filter_map(|row| if let Days::One(day) = row.day { Some(day) } else { None }).collect();
+    numbers.sort_unstable();
+    numbers.dedup();
+    Report {
+        days: numbers.len(),
+        cases,
+        rows,
+        differences,
+        sets: sets.collect(),
+        cleaning: watch.cleaning.rows(options.seed),
+        computed,
+        learned: watch.mixture.learned(),
+    }
+}
