@@ -330,7 +330,9 @@ impl<M: LanguageModel> Pipeline<M> {
             self.nobody = nobody;
             asked?;
         }
-        while !self.scores.is_cut && let Some((place, voice)) = self.next_person() {
+        while !self.scores.is_cut
+            && let Some((place, voice)) = self.next_person()
+        {
             if self.scores.asked > 0 && now().saturating_sub(start) >= patience_ns {
                 break;
             }

@@ -405,7 +405,7 @@ impl Watch<'_> {
         let mut labels: Vec<f64> = scores.iter().map(|score| (score - greatest).exp()).collect();
         let total: f64 = labels.iter().sum();
         labels.iter_mut().for_each(|p| *p /= total);
-        self.forecaster.expect_next(self.grounding, scores, 0);
+        self.forecaster.expect_next(self.grounding, scores, 1.0, 0);
         // The room of the next thing in the forecast without habits.
         let expected = self.forecaster.expected().map_or(rooms, <[f64]>::to_vec);
         let mut forecasts = vec![Forecast::default(); PREDICTORS.len() + self.reduced.len()];
