@@ -26,12 +26,13 @@ use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::ids::PersonId;
 use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::label_trie::{LabelTrie, PROMPT, TokenTree};
+use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::narration::{Action, Program};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::prompt::write_prompt;
 use roomcast_core::scorer::certified::Effort;
 use roomcast_core::scorer::correction::CorrectionChoice;
-use roomcast_core::scorer::{LanguageModel, Token};
+use roomcast_core::scorer::{LanguageModel, Token, common_prefix};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::raw::{ForecastV1, NarrationV1, RoomScoresV1, narration_kind};
 use roomcast_ipc::{Domain, Publisher, Sender, Subscriber, clock};
@@ -240,18 +241,13 @@ impl Ours {
         }
     }
 
-    /// The tokens in the model's cache after the idle work.
-    fn kept(&self, weights: &Weights, prompt: &[Token], before: u64) -> Vec<Token> {
-        let pipeline = self.cycle.board().pipeline();
-        let history = pipeline.inside().histories().get(PersonId(0)).expect("there is one person");
-        if history.left() == before {
-            return prompt.to_vec();
-        }
-        tokens(weights, &history.sentences().collect::<Vec<_>>().join(" "))
-    }
-
-    fn left(&self) -> u64 {
-        self.cycle.board().pipeline().inside().histories().get(PersonId(0)).map_or(0, |history| history.left())
+    /// The tokens of the next window that the model has read in the idle time.
+    fn aside(&self, weights: &Weights) -> Vec<Token> {
+        let inside = self.cycle.board().pipeline().inside();
+        let HistoryLimits { observations, slack, .. } = inside.options().history;
+        let history = inside.histories().get(PersonId(0)).expect("there is one person");
+        let sentences: Vec<&str> = history.sentences().skip(slack + 1).collect();
+        if history.len() < observations { Vec::new() } else { tokens(weights, &sentences.join(" ")) }
     }
 }
 
@@ -299,16 +295,21 @@ fn tell(
         let mut bare_exact = Bare::new(&weights, options, tree.path_count());
         let mut bare_new = Bare::new(&others, options, 1);
         let none = TokenTree::default();
-        let mut kept: Vec<Token> = Vec::new();
+        let (mut kept, mut aside) = (Vec::new(), Vec::new());
         let mut prompt_text = String::new();
         for (number, sentence) in program.iter().cycle().take(program.len() * rounds).enumerate() {
             let pipeline = exact.cycle.board().pipeline();
             let history = pipeline.inside().histories().get(PersonId(0));
-            let sentences = history.into_iter().flat_map(|history| history.sentences()).chain([sentence.as_str()]);
+            let HistoryLimits { observations, slack, .. } = pipeline.inside().options().history;
+            let before = history.into_iter().flat_map(|history| history.sentences());
+            let mut sentences: Vec<&str> = before.chain([sentence.as_str()]).collect();
+            if sentences.len() > observations + slack {
+                sentences.drain(..sentences.len() - observations);
+            }
             write_prompt(sentences, prepared.binding(), false, &mut prompt_text);
             let prompt = tokens(&weights, &prompt_text);
-            let keep = kept.iter().zip(&prompt).take_while(|(a, b)| a == b).count().min(prompt.len() - 1);
-            let left = exact.left();
+            let shared = |known: &[Token]| common_prefix(known, &prompt).min(prompt.len() - 1);
+            let keep = shared(&kept).max(shared(&aside));
             let mut sample = Sample {
                 new_tokens: prompt.len() - keep,
                 nodes: tree.len(),
@@ -337,7 +338,8 @@ fn tell(
             assert!(worst < TOLERANCE_NATS, "the scores are {worst} nats apart");
             while exact.cycle.tidy() {}
             while ranking.cycle.tidy() {}
-            kept = exact.kept(&weights, &prompt, left);
+            aside = exact.aside(&weights);
+            kept = prompt;
             if number >= WARM_UP {
                 samples.push(sample);
             }

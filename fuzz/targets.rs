@@ -366,10 +366,10 @@ pub fn mqtt(bytes: &[u8]) {
     }
 }
 
-/// Any bytes as a recording: read or refused, within the limits of memory. A recording that is read has a moment or none.
+/// Any bytes as a recording: read or refused, within the limits of memory. A moment that is found can be explained or not.
 pub fn recording(bytes: &[u8]) {
-    if let Ok(recording) = recording::decode(Path::new("fuzzed"), bytes) {
-        let _moment = recording.moment(None, None);
+    if let Ok(Some(found)) = recording::find(Path::new("fuzzed"), bytes, recording::Wanted::Last) {
+        let _explained = found.moment.explain(3);
     }
 }
 

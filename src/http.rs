@@ -52,6 +52,8 @@ pub enum HttpError {
 
 #[derive(Debug, Clone, Copy)]
 pub struct Request<'a> {
+    /// Whether the request changes something (POST); else it reads (GET).
+    pub changes: bool,
     pub uri: &'a Uri,
     pub headers: &'a HeaderMap,
 }
@@ -66,7 +68,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Answers every GET request on `address` by `answer` until `stop`.
+    /// Answers every GET and POST request on `address` by `answer` until `stop`.
     ///
     /// # Errors
     /// [`HttpError`] for an address that is not loopback or is taken.
@@ -168,15 +170,12 @@ pub async fn converse(
             _ if !host.is_some_and(is_own_name) => {
                 refusal(StatusCode::MISDIRECTED_REQUEST, "ask for a loopback address by its number, or for localhost")
             }
-            Method::GET => {
+            Method::GET | Method::POST => {
                 let mut answer = answer.borrow_mut();
-                (*answer)(Request { uri: request.uri(), headers: request.headers() })
+                let changes = request.method() == Method::POST;
+                (*answer)(Request { changes, uri: request.uri(), headers: request.headers() })
             }
-            _ => {
-                let mut response = refusal(StatusCode::METHOD_NOT_ALLOWED, "only GET");
-                response.headers_mut().insert(ALLOW, HeaderValue::from_static("GET"));
-                response
-            }
+            _ => only_get(),
         };
         async move { Ok::<_, Infallible>(response) }
     });
@@ -204,6 +203,14 @@ fn is_own_name(host: &str) -> bool {
     };
     let is_number = |port: &str| port.bytes().all(|byte| byte.is_ascii_digit()) && port.parse::<u16>().is_ok();
     is_own && (port.is_empty() || port.strip_prefix(':').is_some_and(is_number))
+}
+
+/// The answer where nothing can be changed.
+#[must_use]
+pub fn only_get() -> Response<String> {
+    let mut response = refusal(StatusCode::METHOD_NOT_ALLOWED, "only GET");
+    response.headers_mut().insert(ALLOW, HeaderValue::from_static("GET"));
+    response
 }
 
 #[must_use]

@@ -13,6 +13,10 @@ mod bar;
 mod cli;
 mod columns;
 mod decided;
+#[cfg(all(test, feature = "view"))]
+#[path = "../tests/support/eventually.rs"]
+#[expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
+mod eventually;
 mod flags;
 #[cfg(feature = "home")]
 mod home_assistant;

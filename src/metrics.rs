@@ -22,7 +22,7 @@ use roomcast_ipc::{Domain, IpcError, QuestionPort, StatusClient, Subscriber, que
 use roomcast_services::clock;
 
 use crate::decided::{Decided, News};
-use crate::http::{HttpError, Server, refusal};
+use crate::http::{HttpError, Request, Server, only_get, refusal};
 use roomcast_core::ids::BootNs;
 use roomcast_core::policy::PolicyName;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion};
@@ -424,7 +424,7 @@ pub fn run(
     let (status, habits) = (node.status_client()?, node.question_port(question::HABITS)?);
     let metrics = Arc::new(Mutex::new(Metrics::new()));
     let mut scrapes = Scrapes { status, habits, metrics: Arc::clone(&metrics), asked: None };
-    let mut server = Server::start(address, stop, move |request| scrapes.answer(request.uri.path()))?;
+    let mut server = Server::start(address, stop, move |request| scrapes.answer(request))?;
     ready(server.address());
     while !stop.requested() {
         scores.wait(TICK)?;
@@ -452,8 +452,11 @@ struct Scrapes {
 }
 
 impl Scrapes {
-    fn answer(&mut self, path: &str) -> Response<String> {
-        if path != "/metrics" {
+    fn answer(&mut self, request: Request<'_>) -> Response<String> {
+        if request.changes {
+            return only_get();
+        }
+        if request.uri.path() != "/metrics" {
             return refusal(StatusCode::NOT_FOUND, "see /metrics");
         }
         let mut response = Response::new(self.text());
@@ -679,6 +682,7 @@ mod tests {
             while !asked.requested() {
                 let habits_persons = known.load(Ordering::Relaxed) as u32;
                 server.answer(|| StatusResponseV1 { habits_persons, ..Default::default() }).unwrap();
+                // The daemon's pace.
                 std::thread::sleep(Duration::from_millis(1));
             }
         });

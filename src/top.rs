@@ -455,19 +455,17 @@ fn forecast_words(told: &PersonForecastsV1, own: &PersonForecastV1) -> String {
     words
 }
 
-/// A person's later places: the set, its promised coverage, its probability in this forecast, and the habits' share of the forecast if any are
-/// learned. `None` without sets.
+/// A person's later room set, its probability, and the habits' share of the forecast if any are learned. `None` without sets.
 fn set_words(told: &PersonForecastsV1, own: &PersonForecastV1, has_learned: bool) -> Option<String> {
     let horizon = told.horizons_s().iter().position(|horizon_s| *horizon_s >= SET_S)?;
     let minutes = told.horizons_s()[horizon] / 60.0;
-    let places = set_places(told, own, horizon)?.join(", ");
-    let set_for = 100.0 * own.set_coverage;
+    let places = set_places(told, own, horizon)?.join(" or ");
     let learned = match has_learned {
-        true => format!(" ({:.0} % learned)", 100.0 * own.learned_share[SET_SHARE]),
+        true => format!(", {:.0} % learned", 100.0 * own.learned_share[SET_SHARE]),
         false => String::new(),
     };
-    let has = 100.0 * own.set_probability(horizon)?;
-    Some(format!("  in {minutes:.0} min, set for {set_for:.0} %, has {has:.0} %: {places}{learned}"))
+    let sure = 100.0 * own.set_probability(horizon)?;
+    Some(format!("  in {minutes:.0} min: {places} ({sure:.0} % sure{learned})"))
 }
 
 /// The places of a horizon's set: ids of rooms, and elsewhere. `None` without sets.
@@ -831,13 +829,13 @@ mod tests {
         view.forecasts(&forecasts);
         view.persons(&scores);
         let text = drawn(&view, 80, 24, BootNs(1_100_000_000));
-        let line = "in 60 min, set for 90 %, has 62 %: bathroom, elsewhere (40 % learned)";
+        let line = "in 60 min: bathroom or elsewhere (62 % sure, 40 % learned)";
         assert!(text.contains(line), "{line:?} is missing:\n{text}");
         // Nothing was learned yet: the share would be of the habits' assumptions.
         view.status(StatusResponseV1::default());
         view.persons(&scores);
         let text = drawn(&view, 80, 24, BootNs(1_100_000_000));
-        assert!(text.contains("bathroom, elsewhere") && !text.contains("learned)"), "{text}");
+        assert!(text.contains("bathroom or elsewhere") && !text.contains("learned)"), "{text}");
         // A line that is too long continues in the next one, between words.
         scores.person[0].name = text::encode("name", "anne-marie of the upper floor").unwrap();
         view.persons(&scores);

@@ -3,35 +3,31 @@
 //! Only loopback addresses are served, and only requests that name one: a foreign page in the browser must not read the places of people. Other users
 //! of the machine need the key of this start. The page may load nothing from other hosts. Data reaches the page as JSON, never as markup.
 
-use std::collections::{BTreeMap, VecDeque};
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::reasons::Reasons;
 use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue};
 use hyper::{Response, StatusCode};
-use roomcast_core::ids::PersonId;
-use roomcast_core::semantic_map::{SceneError, SemanticMap, Storey, Storeys};
 use roomcast_ipc::raw::{
-    DecisionV1, ForecastV1, MAX_HORIZONS, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1,
-    RobotReportV1, RoomScoresV1, RoomV1, action, presence,
+    DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1, RoomScoresV1,
 };
-use roomcast_ipc::{
-    Domain, IpcError, ItemScores, ItemScoresSubscriber, Node, Presence, Subscriber, clock, question, sequence,
-};
-use roomcast_services::daemon::flag_words;
-use roomcast_services::message_text::event_of;
-use roomcast_services::moment::{Moment, MomentError};
+use roomcast_ipc::{Domain, IpcError, ItemScores, ItemScoresSubscriber, Node, Subscriber, clock, question, sequence};
+use roomcast_services::moment::Moment;
 use roomcast_services::recording::{Recorded, Recording};
 use roomcast_services::stop::Stop;
 use serde_json::{Value, json};
 
-use crate::decided::{Decided, News};
-use crate::flags::{decision_flag_names, forecast_flag_names, plain, score_flag_names};
-use crate::http::{HttpError, Request, Server, refusal};
-use crate::robot_place::Places;
-use crate::top::who;
+use crate::http::{HttpError, Request, Server, only_get, refusal};
+use crate::reasons::Reasons;
+use control::Control;
+use picture::Picture;
+use plan::Plan;
+
+mod control;
+mod picture;
+mod plan;
+mod quality;
 
 const PAGE: &str = include_str!("view/page.html");
 const STYLE: &str = include_str!("view/page.css");
@@ -39,11 +35,6 @@ const SCRIPT: &str = include_str!("view/page.js");
 /// The page may load only its own style, script and data.
 const POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-const NARRATIONS: usize = 50;
-/// The beginning of a presence event's text.
-const PRESENT_IN: &str = "present in the ";
-/// Silence after which the daemon counts as gone, in nanoseconds: some heartbeats.
-const SILENCE_NS: u64 = 1_500_000_000;
 /// Things' scores cost the daemon a little. The view stops asking for them this long after the last request of the page.
 const LOOKED: Duration = Duration::from_secs(5);
 const TICK: Duration = Duration::from_millis(200);
@@ -65,7 +56,7 @@ const KEY: HeaderName = HeaderName::from_static("x-roomcast-key");
 pub struct Place {
     /// A loopback address; port 0 takes a free one.
     pub address: SocketAddr,
-    /// The secret of those who may look; `None` lets every user of the machine look.
+    /// The secret of permitted viewers; `None` lets every user of the machine look.
     pub key: Option<String>,
 }
 
@@ -97,18 +88,14 @@ pub fn run(
     ready: impl FnOnce(SocketAddr),
 ) -> Result<(), ViewError> {
     let node = domain.open("roomcast-view")?;
-    let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
-    let forecast: Subscriber<ForecastV1> = node.subscriber()?;
-    let persons: Subscriber<PersonScoresV1> = node.subscriber()?;
-    let forecasts: Subscriber<PersonForecastsV1> = node.subscriber()?;
-    let narration: Subscriber<NarrationV1> = node.subscriber()?;
-    let decisions: Subscriber<DecisionV1> = node.subscriber()?;
-    // If this service has no free place, the robot's place is unknown.
-    let mut reports: Option<Subscriber<RobotReportV1>> = node.subscriber().ok();
+    let mut ports = Ports::new(&node)?;
     let moments = node.question_port(question::MOMENT)?;
     let mut reasons = Reasons::new(&node)?;
-    let picture = Picture { robot: Some(sequence::source_of_name(robot)), is_configured: true, ..Picture::default() };
-    let shared = Arc::new(Mutex::new(Live { picture, ..Live::default() }));
+    let picture = Picture::of_robot(Some(sequence::source_of_name(robot)));
+    // Orders need the key: another page in the browser could send them without it.
+    let control = if place.key.is_some() { Control::new(robot) } else { None };
+    let orders = control.is_some().then(|| node.publisher::<RobotReportV1>()).transpose()?;
+    let shared = Arc::new(Mutex::new(Live { picture, control, ..Live::default() }));
     let (answered, key) = (Arc::clone(&shared), place.key.clone());
     let mut server = Server::start(place.address, stop, move |request| {
         let mut live = answered.lock().unwrap_or_else(PoisonError::into_inner);
@@ -117,31 +104,14 @@ pub fn run(
     ready(server.address());
     let (mut things, mut asked) = (Things::default(), None::<Instant>);
     while !stop.requested() {
-        scores.wait(TICK)?;
-        let now_ns = clock::monotonic_ns();
+        ports.scores.wait(TICK)?;
         let mut live = shared.lock().unwrap_or_else(PoisonError::into_inner);
-        let picture = &mut live.picture;
-        // Malformed messages are skipped; `roomcast top` and the metrics count them.
-        while let Some(message) = narration.receive()? {
-            picture.narration(&message, told_ns(message.observed_ns, now_ns));
-        }
-        if let Some(message) = scores.newest()? {
-            picture.scores(&message, now_ns);
-        }
-        if let Some(message) = forecast.newest()? {
-            picture.forecast(&message);
-        }
-        if let Some(message) = persons.newest()? {
-            picture.persons(&message);
-        }
-        if let Some(message) = forecasts.newest()? {
-            picture.forecasts(&message, now_ns);
-        }
-        while let Some(report) = reports.as_mut().map(|reports| reports.receive()).transpose()?.flatten() {
-            picture.report(&report);
-        }
-        while let Some(message) = decisions.receive()? {
-            picture.decision(&message, told_ns(message.decided_ns, now_ns));
+        ports.receive(&mut live.picture)?;
+        if let (Some(control), Some(publisher)) = (&mut live.control, &orders) {
+            for order in control.drain() {
+                publisher.send(&order)?;
+            }
+            publisher.tick()?;
         }
         if let Some(message) = things.news()? {
             live.picture.items(&message);
@@ -170,6 +140,59 @@ pub fn run(
     }
     server.join();
     Ok(())
+}
+
+/// The services that the page shows.
+struct Ports {
+    scores: Subscriber<RoomScoresV1>,
+    forecast: Subscriber<ForecastV1>,
+    persons: Subscriber<PersonScoresV1>,
+    forecasts: Subscriber<PersonForecastsV1>,
+    narration: Subscriber<NarrationV1>,
+    decisions: Subscriber<DecisionV1>,
+    /// If this service has no free place, the robot's place is unknown.
+    reports: Option<Subscriber<RobotReportV1>>,
+}
+
+impl Ports {
+    fn new(node: &Node) -> Result<Self, IpcError> {
+        Ok(Self {
+            scores: node.subscriber()?,
+            forecast: node.subscriber()?,
+            persons: node.subscriber()?,
+            forecasts: node.subscriber()?,
+            narration: node.subscriber()?,
+            decisions: node.subscriber()?,
+            reports: node.subscriber().ok(),
+        })
+    }
+
+    /// Malformed messages are skipped; `roomcast top` and the metrics count them.
+    fn receive(&mut self, picture: &mut Picture) -> Result<(), IpcError> {
+        let now_ns = clock::monotonic_ns();
+        while let Some(message) = self.narration.receive()? {
+            picture.narration(&message, told_ns(message.observed_ns, now_ns));
+        }
+        if let Some(message) = self.scores.newest()? {
+            picture.scores(&message, now_ns);
+        }
+        if let Some(message) = self.forecast.newest()? {
+            picture.forecast(&message);
+        }
+        if let Some(message) = self.persons.newest()? {
+            picture.persons(&message);
+        }
+        if let Some(message) = self.forecasts.newest()? {
+            picture.forecasts(&message, now_ns);
+        }
+        while let Some(report) = self.reports.as_mut().map(|reports| reports.receive()).transpose()?.flatten() {
+            picture.report(&report);
+        }
+        while let Some(message) = self.decisions.receive()? {
+            picture.decision(&message, told_ns(message.decided_ns, now_ns));
+        }
+        Ok(())
+    }
 }
 
 /// The time of a message that the service may have kept: its own time, or now if it has none or a later one.
@@ -231,10 +254,18 @@ trait Shown {
     fn state(&mut self, at_s: Option<f64>) -> Value;
     /// The plan of the map in use.
     fn plan(&mut self) -> Option<Value>;
+    /// Takes a person's order for the robot.
+    ///
+    /// # Errors
+    /// A sentence if the order is malformed, or if the page takes none.
+    fn order(&mut self, _kind: &str, _room: Option<&str>, _for_s: Option<&str>) -> Result<(), String> {
+        Err("this page takes no orders: a recording has no robot, and without a key any page could send them"
+            .to_owned())
+    }
 }
 
 fn answer(request: Request<'_>, key: Option<&str>, shown: &mut impl Shown) -> Response<String> {
-    let is_data = ["/state", "/plan"].contains(&request.uri.path());
+    let is_data = ["/state", "/plan", "/order"].contains(&request.uri.path());
     let given = request.headers.get(KEY).map(HeaderValue::as_bytes).unwrap_or_default();
     if is_data && key.is_some_and(|key| !is_same(key.as_bytes(), given)) {
         return refusal(
@@ -246,6 +277,13 @@ fn answer(request: Request<'_>, key: Option<&str>, shown: &mut impl Shown) -> Re
         let pairs = request.uri.query()?.split('&').filter_map(|pair| pair.split_once('='));
         pairs.filter(|(name, _)| *name == key).map(|(_, value)| value).next()
     };
+    if request.changes {
+        let Some(kind) = query("kind").filter(|_| request.uri.path() == "/order") else { return only_get() };
+        return match shown.order(kind, query("room"), query("for")) {
+            Ok(()) => Response::new("{}".to_owned()),
+            Err(why) => refusal(StatusCode::BAD_REQUEST, &why),
+        };
+    }
     let (kind, body) = match request.uri.path() {
         "/" => ("text/html; charset=utf-8", PAGE.to_owned()),
         "/page.css" => ("text/css; charset=utf-8", STYLE.to_owned()),
@@ -283,6 +321,8 @@ fn is_same(key: &[u8], given: &[u8]) -> bool {
 #[derive(Debug, Default)]
 struct Live {
     picture: Picture,
+    /// `None` if the page takes no orders.
+    control: Option<Control>,
     plan: Option<Plan>,
     /// When the page last asked.
     looked: Option<Instant>,
@@ -302,6 +342,7 @@ impl Shown for Live {
         let mut state = self.picture.state(now_ns);
         let plan = self.fitting_plan();
         (state["live"], state["forecasts"]) = (true.into(), true.into());
+        state["control"] = self.control.is_some().into();
         state["map"] = plan.map(Plan::key).into();
         state["daemon"] = self.picture.daemon(now_ns);
         plan.iter().for_each(|plan| plan.name(&mut state));
@@ -310,6 +351,11 @@ impl Shown for Live {
 
     fn plan(&mut self) -> Option<Value> {
         self.plan.as_ref().map(|plan| plan.drawing.clone())
+    }
+
+    fn order(&mut self, kind: &str, room: Option<&str>, for_s: Option<&str>) -> Result<(), String> {
+        let control = self.control.as_mut().ok_or("without a key this page takes no orders: leave out --no-key")?;
+        control.take(kind, room, for_s, self.picture.scores.as_ref().map(|(scores, _)| scores))
     }
 }
 
@@ -353,7 +399,7 @@ impl Played {
         }
         if !self.plan.as_ref().is_some_and(|plan| self.picture.is_on(plan)) {
             let map = self.picture.map();
-            let moments = self.recording.moments.iter().filter(|own| Some(&own.map_fingerprint) == map.as_ref());
+            let moments = self.recording.maps.iter().filter(|own| Some(&own.map_fingerprint) == map.as_ref());
             let mut plans = moments.filter_map(|moment| Plan::of_moment(moment).ok());
             self.plan = plans.find(|plan| self.picture.is_on(plan));
         }
@@ -379,404 +425,13 @@ impl Shown for Played {
     }
 }
 
-/// A map to draw, in its partitions. One map can have several plans.
-#[derive(Debug)]
-struct Plan {
-    /// The map's fingerprint, hexadecimal.
-    map: String,
-    level: &'static str,
-    /// The names of its partitions, by id.
-    names: BTreeMap<String, String>,
-    drawing: Value,
-}
-
-impl Plan {
-    /// The page's key for the plan.
-    fn key(&self) -> String {
-        format!("{}-{}", self.map, self.level)
-    }
-
-    fn of_moment(moment: &Moment) -> Result<Self, MomentError> {
-        let explained = SemanticMap::from_json(&moment.scene.to_string());
-        Self::of_map(&explained.map_err(MomentError::Scene)?, moment).map_err(MomentError::Scene)
-    }
-
-    fn of_map(map: &SemanticMap, moment: &Moment) -> Result<Self, SceneError> {
-        let metres = |value: f64| (value * 1e3).round() / 1e3;
-        let point = |[x, y]: [f64; 2]| json!([metres(x), metres(y)]);
-        let partitions = roomcast_core::grounding::partitions(map, moment.grounding.level);
-        let names = roomcast_core::grounding::partition_names(&partitions);
-        let storeys = Storeys::of(map);
-        let room = |(partition, name): (&roomcast_core::grounding::Partition, &String)| {
-            let rings = partition.spaces.iter().flat_map(|space| storeys.moved_space(space).rings());
-            let rings: Vec<Vec<Value>> = rings.map(|ring| ring.into_iter().map(point).collect()).collect();
-            json!({"id": partition.id, "name": name, "rings": rings})
-        };
-        let item = |item: &roomcast_core::semantic_map::Item| {
-            let [x, y, _] = item.position_m;
-            let at = storeys.moved(storeys.of_item(map, item), [x, y]);
-            json!({"id": item.id, "label": map.labels()[item.label.0 as usize], "at": point(at)})
-        };
-        let doors = map.doors().iter().flat_map(|door| {
-            // A door between storeys is drawn on both.
-            let mut on = door.rooms.map(|room| storeys.of_space(&map.rooms()[room.0 as usize].space)).to_vec();
-            on.dedup();
-            let [x, y, _] = door.position_m;
-            on.into_iter().map(|storey| point(storeys.moved(storey, [x, y]))).collect::<Vec<_>>()
-        });
-        let storey = |own: &Storey| json!({"name": own.name(), "at": point([own.min_m[0], own.max_m[1]])});
-        let named = storeys.all().iter().filter(|_| storeys.all().len() > 1);
-        let rooms: Vec<Value> = partitions.iter().zip(&names).map(room).collect();
-        let names = partitions.iter().map(|partition| partition.id.clone()).zip(names);
-        let mut plan = Self {
-            map: moment.map_fingerprint.clone(),
-            level: moment.grounding.level.into(),
-            names: names.collect(),
-            drawing: Value::Null,
-        };
-        plan.drawing = json!({
-            "map": plan.key(), "name": map.name(),
-            "rooms": rooms,
-            "storeys": named.map(storey).collect::<Vec<_>>(), "doors": doors.collect::<Vec<_>>(), "items": map.items().iter().map(item).collect::<Vec<_>>(),
-        });
-        Ok(plan)
-    }
-
-    fn name(&self, state: &mut Value) {
-        for room in state["rooms"].as_array_mut().into_iter().flatten() {
-            if let Some(name) = room["id"].as_str().and_then(|id| self.names.get(id)) {
-                room["name"] = name.as_str().into();
-            }
-        }
-        for (part, name) in [("decision", "text"), ("decision", "reason")] {
-            if let Some(text) = state[part][name].as_str() {
-                state[part][name] = self.in_names(text).into();
-            }
-        }
-        for told in state["narration"].as_array_mut().into_iter().flatten() {
-            // A sentence is shown as the model reads it. Only presence has a room's id.
-            if let Some(text) = told["text"].as_str().filter(|text| text.starts_with(PRESENT_IN)) {
-                told["text"] = self.in_names(text).into();
-            }
-        }
-    }
-
-    /// Replaces rooms' ids by their names.
-    fn in_names(&self, text: &str) -> String {
-        let is_id = |character: char| character.is_alphanumeric() || character == '-' || character == '_';
-        let (mut named, mut rest) = (String::with_capacity(text.len()), text);
-        while !rest.is_empty() {
-            let (word, after) = rest.split_at(rest.find(|character| !is_id(character)).unwrap_or(rest.len()));
-            named.push_str(self.names.get(word).map_or(word, String::as_str));
-            let (between, after) = after.split_at(after.find(is_id).unwrap_or(after.len()));
-            named.push_str(between);
-            rest = after;
-        }
-        named
-    }
-}
-
-/// A probability with the digits that the page needs.
-fn short(p: f64) -> f64 {
-    (p * 1e4).round() / 1e4
-}
-
-fn row(row: &[f32]) -> Vec<f64> {
-    row.iter().map(|p| short(f64::from(*p))).collect()
-}
-
-/// The newest messages.
-#[derive(Debug, Default)]
-struct Picture {
-    scores: Option<(RoomScoresV1, u64)>,
-    forecast: Option<Box<ForecastV1>>,
-    persons: Option<Box<PersonScoresV1>>,
-    forecasts: Option<Box<PersonForecastsV1>>,
-    decision: Option<(DecisionV1, u64)>,
-    /// The robot that is shown without its name: the configured one, or the first of a recording.
-    robot: Option<u64>,
-    /// Others are shown only before its first decision.
-    is_configured: bool,
-    decided: Decided,
-    places: Places,
-    /// The newest first: time, source, text.
-    narration: VecDeque<(u64, String, String)>,
-    items: BTreeMap<String, f64>,
-    quality: Quality,
-    /// By person: the observation with the largest effect on the belief.
-    reasons: BTreeMap<u32, String>,
-}
-
-impl Picture {
-    fn take(&mut self, message: &Recorded, taken_ns: u64) {
-        match message {
-            Recorded::Narration(message) => self.narration(message, taken_ns),
-            Recorded::RoomScores(message) => self.scores(message, taken_ns),
-            Recorded::PersonScores(message) => self.persons(message),
-            Recorded::Forecast(message) => self.forecast(message),
-            Recorded::PersonForecasts(message) => self.forecasts(message, taken_ns),
-            Recorded::Decision(message) => self.decision(message, taken_ns),
-            Recorded::RobotReport(message) => self.report(message),
-        }
-    }
-
-    fn scores(&mut self, scores: &RoomScoresV1, taken_ns: u64) {
-        self.scores = Some((*scores, taken_ns));
-    }
-
-    fn forecast(&mut self, forecast: &ForecastV1) {
-        self.forecast = Some(Box::new(*forecast));
-    }
-
-    fn persons(&mut self, persons: &PersonScoresV1) {
-        self.persons = Some(Box::new(*persons));
-    }
-
-    fn forecasts(&mut self, forecasts: &PersonForecastsV1, taken_ns: u64) {
-        self.quality.take(forecasts, self.persons.as_deref(), taken_ns);
-        self.forecasts = Some(Box::new(*forecasts));
-    }
-
-    fn report(&mut self, report: &RobotReportV1) {
-        self.places.take(report, self.decision.as_ref().map(|(decision, _)| decision));
-    }
-
-    fn decision(&mut self, decision: &DecisionV1, taken_ns: u64) {
-        let own = *self.robot.get_or_insert(decision.robot);
-        let is_others = |known: &(DecisionV1, u64)| known.0.robot != own;
-        let is_shown = decision.robot == own || !self.is_configured || self.decision.as_ref().is_none_or(is_others);
-        if self.decided.take(decision) != News::None && is_shown {
-            self.decision = Some((*decision, taken_ns));
-        }
-    }
-
-    fn narration(&mut self, narration: &NarrationV1, taken_ns: u64) {
-        self.narration.truncate(NARRATIONS - 1);
-        // As the model reads it, or the raw text if it is not an observation.
-        let event = event_of(narration.kind, narration.text());
-        let text = event.map_or_else(|_| narration.text().to_owned(), |event| event.to_string());
-        let source = match narration.person_name() {
-            "" => narration.source_name().to_owned(),
-            name => format!("{name} \u{b7} {}", narration.source_name()),
-        };
-        self.narration.push_front((taken_ns, source, text));
-    }
-
-    fn items(&mut self, items: &ItemScores) {
-        let mass: f64 = items.items.iter().map(|item| item.log_score_nats.exp()).sum();
-        let share = |log_nats: f64| if mass > 0.0 { short(log_nats.exp() / mass) } else { 0.0 };
-        let items = items.items.iter().map(|item| (item.id().to_owned(), share(item.log_score_nats)));
-        self.items = items.filter(|(_, share)| *share > 0.0).collect();
-    }
-
-    /// The fingerprint of the scores' map, hexadecimal.
-    fn map(&self) -> Option<String> {
-        self.scores.as_ref().map(|(scores, _)| hex::encode(scores.map_fingerprint))
-    }
-
-    /// Whether the scores have this plan's map and partitions.
-    fn is_on(&self, plan: &Plan) -> bool {
-        let Some((scores, _)) = &self.scores else { return false };
-        let rooms = scores.rooms();
-        hex::encode(scores.map_fingerprint) == plan.map
-            && rooms.len() == plan.names.len()
-            && rooms.iter().all(|room| plan.names.contains_key(room.id()))
-    }
-
-    fn daemon(&self, now_ns: u64) -> Value {
-        let Some((scores, _)) = &self.scores else {
-            return json!({"alarm": true, "text": "No daemon has been heard yet: start `roomcast daemon`."});
-        };
-        let silence_ns = scores.silence_ns(now_ns);
-        if silence_ns > SILENCE_NS {
-            let text =
-                format!("The daemon has been silent for {:.0} s: what is shown is old.", silence_ns as f64 / 1e9);
-            return json!({"alarm": true, "text": text});
-        }
-        let flags = score_flag_names(scores.flags & !roomcast_ipc::raw::score_flags::HEARTBEAT);
-        let flags: Vec<_> = flags.into_iter().map(plain).collect();
-        let flags = if flags.is_empty() { String::new() } else { format!(" ({})", flags.join(", ")) };
-        json!({"alarm": false, "text": format!("The daemon is alive{flags}.")})
-    }
-
-    fn state(&self, now_ns: u64) -> Value {
-        let seconds = |then_ns: u64| now_ns.saturating_sub(then_ns) as f64 / 1e9;
-        let scores = self.scores.as_ref().map(|(scores, _)| scores);
-        let forecast = self
-            .forecast
-            .as_deref()
-            .filter(|own| scores.is_some_and(|of| (of.epoch, of.room_count) == (own.epoch, own.room_count)));
-        let horizons = forecast.map_or(0, |own| (own.horizon_count as usize).min(MAX_HORIZONS));
-        let rooms = scores.map_or(&[][..], |scores| scores.rooms()).iter().enumerate().map(|(place, room)| {
-            let occupied =
-                forecast.and_then(|own| own.room(place)).filter(|(id, _)| *id == room.id()).map(|(_, p)| row(p));
-            json!({"id": room.id(), "name": room.id(), "next": short(room.probability), "occupied": occupied})
-        });
-        let said =
-            self.narration.iter().map(|(at_ns, who, text)| json!({"age_s": seconds(*at_ns), "who": who, "text": text}));
-        let decision = self.decision.as_ref().map(|(decision, taken_ns)| {
-            let robot = match decision.robot_name() {
-                name if self.robot != Some(decision.robot) && !name.is_empty() => format!("The robot {name}"),
-                _ => "The robot".to_owned(),
-            };
-            let text = match decision.action {
-                action::GO => format!("{robot} goes to {}.", decision.to()),
-                action::PAUSE => format!("{robot} pauses where it disturbs nobody."),
-                _ if !decision.to().is_empty() && decision.to() != decision.from() => {
-                    format!("{robot} waits in {}, where nothing is to be done.", decision.to())
-                }
-                _ => format!("{robot} stays where it is."),
-            };
-            // The bits refer to the rooms of the scores behind the decision.
-            let of = scores.filter(|scores| scores.epoch == decision.scores_epoch);
-            let left = of.map(|scores| {
-                let rooms = scores.rooms().iter().enumerate();
-                rooms.filter(|(room, _)| decision.covered >> room & 1 == 0).map(|(_, room)| room.id()).collect::<Vec<_>>()
-            });
-            let place = self.places.of(decision.robot);
-            let cleaned = of.map(|scores| {
-                let rooms = scores.rooms().iter().zip(decision.cleaned_min).filter_map(|(room, minutes)| {
-                    Some((room.id().to_owned(), f64::from(minutes.checked_sub(1)?) * 60.0 + seconds(*taken_ns)))
-                });
-                rooms.collect::<BTreeMap<_, _>>()
-            });
-            json!({
-                "at": place.room(), "place": place.words(str::to_owned), "cleaned_s": cleaned,
-                "to": decision.to(), "left": left, "text": text, "reason": decision.reason(), "policy": decision.policy(), "age_s": seconds(*taken_ns),
-                "flags": decision_flag_names(decision.flags),
-                "notes": decision_flag_names(decision.flags).into_iter().map(plain).collect::<Vec<_>>(),
-            })
-        });
-        json!({
-            "rooms": rooms.collect::<Vec<_>>(),
-            "horizons_s": forecast.map_or(&[][..], |own| &own.horizon_s[..horizons]),
-            "forecast_flags": forecast.map_or_else(Vec::new, |own| forecast_flag_names(own.flags)),
-            "persons": self.person_cards(), "decision": decision, "narration": said.collect::<Vec<_>>(),
-            "items": self.items, "quality": self.quality.curve(),
-        })
-    }
-
-    fn person_cards(&self) -> Vec<Value> {
-        let Some(persons) = self.persons.as_deref() else { return Vec::new() };
-        let rooms = self.scores.as_ref().map_or(&[][..], |(scores, _)| scores.rooms());
-        // Forecasts refer to rooms by position. While the map changes, the positions are of other rooms.
-        let is_of_these = |own: &&PersonForecastsV1| own.rooms().eq(rooms.iter().map(RoomV1::id));
-        let forecasts = self.forecasts.as_deref().filter(|own| own.epoch == persons.epoch).filter(is_of_these);
-        let card = |person: &PersonV1| {
-            let own =
-                forecasts.and_then(|told| Some((told, told.persons().iter().find(|own| own.person == person.person)?)));
-            let mut card = json!({
-                "name": who(PersonId(person.person), person.name()), "presence": Presence::of(person.presence).word(),
-                "flags": flag_words(person.flags).collect::<Vec<_>>(),
-                "notes": flag_words(person.flags).map(plain).collect::<Vec<_>>(),
-                "why": self.reasons.get(&person.person),
-            });
-            if let Some((told, own)) = own {
-                let horizons = told.horizons_s().len();
-                let rooms =
-                    (0..told.rooms().len()).filter_map(|room| own.probability.get(room)?.get(..horizons).map(row));
-                card["rooms"] = rooms.collect::<Vec<_>>().into();
-                if own.set_coverage > 0.0 {
-                    let ids: Vec<&str> = told.rooms().collect();
-                    let set = |horizon: usize| -> Vec<&str> {
-                        let holds = |room: usize| own.set_holds(horizon, room) == Some(true);
-                        let out = (own.set_holds_elsewhere(horizon) == Some(true)).then_some("out of the house");
-                        ids.iter().enumerate().filter(|(room, _)| holds(*room)).map(|(_, id)| *id).chain(out).collect()
-                    };
-                    card["sets"] = (0..horizons).map(set).collect::<Vec<_>>().into();
-                    let has = (0..horizons).map(|horizon| own.set_probability(horizon).map(short));
-                    card["set_has"] = has.collect::<Vec<_>>().into();
-                    card["coverage"] = short(f64::from(own.set_coverage)).into();
-                }
-                card["elsewhere"] = own.elsewhere.get(..horizons).map(row).into();
-                let likely = likeliest(told, own).filter(|(_, p)| *p >= 0.5 && person.presence <= presence::PRESENT);
-                card["likely"] = likely.map(|(room, _)| room).into();
-            }
-            card
-        };
-        persons.persons().iter().map(card).collect()
-    }
-}
-
-/// A person's most probable room now, and its probability.
-fn likeliest(told: &PersonForecastsV1, own: &PersonForecastV1) -> Option<(usize, f32)> {
-    let now = (0..told.rooms().len()).filter_map(|room| Some((room, *own.probability.get(room)?.first()?)));
-    now.max_by(|a, b| a.1.total_cmp(&b.1))
-}
-
-/// The quality of forecasts: the probability that the forecast of 15 minutes before gave to the observed room. Unobserved rooms are not compared, or
-/// the forecast would be its own judge.
-#[derive(Debug, Default)]
-struct Quality {
-    /// Forecasts a minute apart, the newest last.
-    samples: VecDeque<(u64, Box<PersonForecastsV1>)>,
-    /// Per hour, the newest last: its number, the sum of probabilities, and their count.
-    hours: VecDeque<(u64, f64, u64)>,
-}
-
-impl Quality {
-    const AHEAD_S: f32 = 900.0;
-    const AHEAD_NS: u64 = 900_000_000_000;
-    const MINUTE_NS: u64 = 60_000_000_000;
-    const HOUR_NS: u64 = 3_600_000_000_000;
-    /// A week.
-    const HOURS: usize = 168;
-    /// Least probability of a room that counts as known.
-    const KNOWN: f32 = 0.9;
-
-    fn take(&mut self, now: &PersonForecastsV1, persons: Option<&PersonScoresV1>, taken_ns: u64) {
-        if self.samples.back().is_some_and(|(then_ns, _)| taken_ns.saturating_sub(*then_ns) < Self::MINUTE_NS) {
-            return;
-        }
-        let is_old = |then_ns: u64| taken_ns.saturating_sub(then_ns) >= Self::AHEAD_NS + Self::MINUTE_NS;
-        while self.samples.front().is_some_and(|(then_ns, _)| is_old(*then_ns)) {
-            self.samples.pop_front();
-        }
-        let before = self.samples.front().filter(|(then_ns, _)| taken_ns.saturating_sub(*then_ns) >= Self::AHEAD_NS);
-        if let Some((_, before)) =
-            before.filter(|(_, before)| before.room_count == now.room_count && before.id == now.id)
-        {
-            let observed = |person: &&PersonForecastV1| {
-                let told = persons.filter(|told| told.epoch == now.epoch).map_or(&[][..], PersonScoresV1::persons);
-                let own = told.iter().find(|own| own.person == person.person).filter(|own| own.observed_ns > 0);
-                own.is_some_and(|own| now.computed_ns.saturating_sub(own.observed_ns) <= Self::MINUTE_NS)
-            };
-            let given = now.persons().iter().filter(observed).filter_map(|person| Self::given(before, now, person));
-            let (sum, count) = given.fold((0.0, 0), |(sum, count), p| (sum + f64::from(p), count + 1));
-            let hour = taken_ns / Self::HOUR_NS;
-            match self.hours.back_mut() {
-                _ if count == 0 => {}
-                Some(last) if last.0 == hour => (last.1, last.2) = (last.1 + sum, last.2 + count),
-                _ => self.hours.push_back((hour, sum, count)),
-            }
-            if self.hours.len() > Self::HOURS {
-                self.hours.pop_front();
-            }
-        }
-        self.samples.push_back((taken_ns, Box::new(*now)));
-    }
-
-    /// The probability that the earlier forecast gave to a person's present place.
-    fn given(before: &PersonForecastsV1, now: &PersonForecastsV1, person: &PersonForecastV1) -> Option<f32> {
-        let horizon = before.horizons_s().iter().position(|horizon_s| *horizon_s == Self::AHEAD_S)?;
-        let then = before.persons().iter().find(|then| then.person == person.person)?;
-        if person.elsewhere[0] >= Self::KNOWN {
-            return then.elsewhere.get(horizon).copied();
-        }
-        let (room, _) = likeliest(now, person).filter(|(_, p)| *p >= Self::KNOWN)?;
-        then.probability.get(room)?.get(horizon).copied()
-    }
-
-    fn curve(&self) -> Vec<Value> {
-        self.hours.iter().map(|(_, sum, count)| json!({"p": short(sum / *count as f64), "n": count})).collect()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::eventually::eventually;
     use roomcast_core::grounding::GroundingOptions;
-    use roomcast_ipc::raw::narration_kind;
+    use roomcast_core::semantic_map::SemanticMap;
+    use roomcast_ipc::raw::{action, narration_kind};
     use roomcast_ipc::text;
     use std::io::{Read, Write};
 
@@ -888,7 +543,7 @@ mod tests {
         // A recording of both daemons has a moment of each.
         let messages = [of_rooms, of_groups].map(|scores| Recorded::RoomScores(Box::new(scores)));
         let messages = [0, 1_000_000_000].into_iter().zip(messages).collect();
-        let mut played = Played::new(Recording { messages, moments: vec![rooms, groups], ..Recording::default() });
+        let mut played = Played::new(Recording { messages, maps: vec![rooms, groups], ..Recording::default() });
         for (at_s, plan) in [(1.0, 1), (0.0, 0), (1.0, 1)] {
             assert_eq!(played.state(Some(at_s))["map"], plans[plan].key());
             assert_eq!(played.plan().unwrap()["map"], plans[plan].key());
@@ -926,7 +581,7 @@ mod tests {
             (2_000_000_000, Recorded::Narration(Box::new(said))),
             (3_000_000_000, Recorded::RoomScores(Box::new(scores(2, 0.75)))),
         ];
-        let mut played = Played::new(Recording { messages, moments: vec![moment(STUDIO)], ..Recording::default() });
+        let mut played = Played::new(Recording { messages, maps: vec![moment(STUDIO)], ..Recording::default() });
         for (at_s, kitchen, told) in
             [(None, 0.75, 1), (Some(0.5), 0.25, 0), (Some(1.5), 0.25, 1), (Some(99.0), 0.75, 1), (Some(-1.0), 0.25, 0)]
         {
@@ -952,7 +607,7 @@ mod tests {
         };
         let shown = |own: Option<&str>, told: &[DecisionV1]| {
             let own = own.map(sequence::source_of_name);
-            let mut picture = Picture { robot: own, is_configured: own.is_some(), ..Picture::default() };
+            let mut picture = Picture::of_robot(own);
             (1..).zip(told).for_each(|(at_ns, decision)| picture.decision(decision, at_ns));
             picture.state(9)["decision"]["text"].as_str().unwrap_or_default().to_owned()
         };
@@ -991,6 +646,29 @@ mod tests {
     }
 
     #[test]
+    fn the_strip_has_a_stay_for_each_room_and_a_repeated_decision_prolongs_it() {
+        let mut picture = Picture::default();
+        picture.scores(&scores(1, 0.5), 1);
+        let second = 1_000_000_000;
+        for (sequence, (action, room)) in (1..).zip([
+            (action::GO, "kitchen"),
+            (action::STAY, "kitchen"),
+            (action::STAY, "kitchen"),
+            (action::GO, "bathroom"),
+        ]) {
+            let to = text::encode("to", room).unwrap();
+            picture.decision(&DecisionV1 { sequence, action, to, ..Default::default() }, sequence * second);
+        }
+        let stays = picture.state(10 * second)["decision"]["stays"].clone();
+        let stay =
+            |room: &str, ago_s: f64, works: bool| json!({"room": room, "name": room, "ago_s": ago_s, "works": works});
+        assert_eq!(
+            stays,
+            json!([stay("kitchen", 9.0, true), stay("kitchen", 8.0, false), stay("bathroom", 6.0, true)])
+        );
+    }
+
+    #[test]
     fn a_decision_says_which_rooms_are_still_to_do() {
         let mut picture = Picture::default();
         picture.scores(&scores(1, 0.5), 1);
@@ -1005,48 +683,13 @@ mod tests {
     #[test]
     fn a_recording_says_what_it_has() {
         let of = |messages| {
-            Played::new(Recording { messages, moments: vec![moment(STUDIO)], ..Recording::default() }).state(None)
+            Played::new(Recording { messages, maps: vec![moment(STUDIO)], ..Recording::default() }).state(None)
         };
         let scored = (1, Recorded::RoomScores(Box::new(scores(1, 0.25))));
         let state = of(vec![scored.clone()]);
         assert_eq!((&state["forecasts"], &state["length_s"]), (&json!(false), &json!(0.0)));
         assert_eq!(of(vec![scored, (9, Recorded::Forecast(Box::default()))])["forecasts"], true);
         assert_eq!(Live::default().state(None)["forecasts"], true);
-    }
-
-    #[test]
-    fn a_forecast_is_compared_with_where_people_then_are() {
-        let mut quality = Quality::default();
-        let mut told =
-            PersonForecastsV1 { epoch: 1, room_count: 2, person_count: 1, horizon_count: 2, ..Default::default() };
-        told.horizon_s[1] = 900.0;
-        told.person[0].probability[0][..2].copy_from_slice(&[0.95, 0.25]);
-        told.person[0].probability[1][..2].copy_from_slice(&[0.05, 0.5]);
-        let mut persons = PersonScoresV1 { epoch: 1, person_count: 1, ..Default::default() };
-        for minute in 0..15 {
-            quality.take(&told, Some(&persons), minute * Quality::MINUTE_NS);
-            assert!(quality.curve().is_empty(), "{minute}");
-        }
-        let mut at = |quality: &mut Quality, minute: u64, told: &PersonForecastsV1, observed: u64| {
-            persons.person[0].observed_ns = observed * Quality::MINUTE_NS;
-            let mut told = *told;
-            told.computed_ns = minute * Quality::MINUTE_NS;
-            quality.take(&told, Some(&persons), minute * Quality::MINUTE_NS);
-        };
-        at(&mut quality, 15, &told, 15);
-        // Unobserved beliefs and uncertain observations are not compared.
-        at(&mut quality, 16, &told, 14);
-        at(&mut quality, 17, &told, 0);
-        told.person[0].probability[0][0] = 0.5;
-        at(&mut quality, 18, &told, 18);
-        told.person[0].elsewhere[0] = 1.0;
-        at(&mut quality, 19, &told, 19);
-        assert_eq!(quality.curve(), [json!({"p": 0.125, "n": 2})]);
-        for minute in (0..200).flat_map(|hour| [20 + 60 * hour, 35 + 60 * hour]) {
-            at(&mut quality, minute, &told, minute);
-        }
-        assert_eq!(quality.curve().len(), Quality::HOURS);
-        assert!(quality.samples.len() <= 17);
     }
 
     /// If other subscribers have all places of the things' scores, the view goes on without them.
@@ -1086,8 +729,12 @@ mod tests {
     }
 
     fn got(address: SocketAddr, path: &str, host: &str, key: &str) -> String {
+        answered(address, &format!("GET {path}"), host, key)
+    }
+
+    fn answered(address: SocketAddr, what: &str, host: &str, key: &str) -> String {
         let mut stream = std::net::TcpStream::connect(address).unwrap();
-        write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\nX-Roomcast-Key: {key}\r\n\r\n").unwrap();
+        write!(stream, "{what} HTTP/1.1\r\nHost: {host}\r\nX-Roomcast-Key: {key}\r\n\r\n").unwrap();
         let mut text = String::new();
         stream.read_to_string(&mut text).unwrap();
         text
@@ -1110,23 +757,54 @@ mod tests {
         decisions.send(&decision).unwrap();
         let least_s = clock::monotonic_ns() as f64 / 1e9 - 1.0;
         let (address, stop, thread) = viewed(&domain);
-        let ages = (0..600).find_map(|_| {
+        let ages = eventually("narration and decision have an age", || {
             // Late subscribers get earlier messages.
             narration.tick().unwrap();
             decisions.tick().unwrap();
             let answer = got(address, "/state", "localhost", "k3y");
             let state: Value = serde_json::from_str(answer.split_once("\r\n\r\n").unwrap().1).unwrap();
             let ages = [&state["narration"][0]["age_s"], &state["decision"]["age_s"]].map(Value::as_f64);
-            std::thread::sleep(Duration::from_millis(50));
             Some([ages[0]?, ages[1]?])
         });
-        assert!(ages.unwrap().into_iter().all(|age_s| age_s >= least_s), "{ages:?}, at least {least_s}");
+        assert!(ages.into_iter().all(|age_s| age_s >= least_s), "{ages:?}, at least {least_s}");
         stop.request();
         assert!(matches!(thread.join(), Ok(Ok(()))));
         drop((narration, decisions, node));
         let _left = domain.clean_up();
         // A message without a time counts as of now, and no message is dated ahead.
         assert_eq!([told_ns(0, 9), told_ns(5, 9), told_ns(12, 9)], [9, 5, 9]);
+    }
+
+    #[test]
+    fn orders_need_the_key_and_post() {
+        let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(folder.path().join("d"), &format!("orders-{}", std::process::id())).unwrap();
+        let node = domain.open("test").unwrap();
+        let reports = node.subscriber::<RobotReportV1>().unwrap();
+        let (address, stop, thread) = viewed(&domain);
+        for (what, host, key, status) in [
+            ("POST /order?kind=hold", "localhost", "", "403"),
+            ("POST /order?kind=hold", "localhost", "other", "403"),
+            ("POST /order?kind=hold", "evil.example", "k3y", "421"),
+            ("GET /order?kind=hold", "localhost", "k3y", "404"),
+            ("POST /state", "localhost", "k3y", "405"),
+            ("POST /order?kind=finished", "localhost", "k3y", "400"),
+            ("POST /order?kind=clean&room=0", "localhost", "k3y", "400"),
+            ("POST /order?kind=hold&for=60", "localhost", "k3y", "200"),
+        ] {
+            let answer = answered(address, what, host, key);
+            assert!(answer.starts_with(&format!("HTTP/1.1 {status}")), "{what} {key:?}: {answer}");
+        }
+        let order = (0..600).find_map(|_| {
+            reports.wait(Duration::from_millis(50)).unwrap();
+            reports.receive().unwrap()
+        });
+        assert_eq!(order.map(|order| order.kind), Some(roomcast_ipc::raw::report_kind::HOLD));
+        assert!(reports.receive().unwrap().is_none(), "the refused ones were not sent");
+        stop.request();
+        assert!(matches!(thread.join(), Ok(Ok(()))));
+        drop((reports, node));
+        let _left = domain.clean_up();
     }
 
     #[test]

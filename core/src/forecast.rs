@@ -39,6 +39,7 @@
 use crate::grounding::Grounding;
 use crate::like_things::InUse;
 use crate::places::Mention;
+use crate::tracker::evenness;
 
 /// Assumptions of the forecast before it has observed the home.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -305,6 +306,37 @@ impl Forecaster {
             }
         }
         self.expect(scores);
+    }
+
+    /// As [`Forecaster::observe`], for a text that names no place, with the likelihood of the text in each room.
+    pub fn suppose(&mut self, at_s: f64, likelihood: &[f64]) {
+        /// Probability that the text is about another room than the model's.
+        const MISREAD: f64 = 0.01;
+        /// Probability that the belief lost the person, if the text fits one room only.
+        const LOST: f64 = 0.1;
+        let at_s = self.come_home(at_s);
+        let total: f64 = likelihood.iter().sum();
+        if likelihood.len() != self.belief.len() || !(total.is_finite() && total > 0.0) {
+            return;
+        }
+        let before = likeliest(&self.belief);
+        let lost = LOST * (1.0 - evenness(likelihood));
+        let even = 1.0 / likelihood.len() as f64;
+        let read = |belief: &mut [f64]| {
+            for (p, fits) in belief.iter_mut().zip(likelihood) {
+                let share = fits / total;
+                *p = ((1.0 - lost) * *p + lost * share) * ((1.0 - MISREAD) * share + MISREAD * even);
+            }
+        };
+        self.update(at_s, 1.0, Some(read));
+        (self.expects, self.expected) = (true, None);
+        if at_s - self.object_since_s > REST_S {
+            self.in_use.clear();
+        }
+        if likeliest(&self.belief) != before {
+            // The thing in hand is in another room.
+            (self.object, self.object_since_s) = (None, at_s);
+        }
     }
 
     /// Processes a report, such as a sensor's, that the person is in the house at `at_s`, and in `room` if given. The person is then in that room,

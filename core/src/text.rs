@@ -24,6 +24,45 @@ pub fn count(number: usize, noun: &str) -> String {
     format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }
 
+/// The known word that a misspelt one resembles most, if at most a third of its letters must change.
+///
+/// ```
+/// use roomcast_core::text::nearest;
+///
+/// assert_eq!(nearest("ktchen", ["kitchen", "hall"]), Some("kitchen"));
+/// assert_eq!(nearest("garden", ["kitchen", "hall"]), None);
+/// ```
+#[must_use]
+pub fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    // Longer texts are no misspelt word, and comparing them would cost time.
+    if word.len() > 48 {
+        return None;
+    }
+    let (distance, best) = known.into_iter().map(|known| (edit_distance(word, known), known)).min()?;
+    (3 * distance <= word.chars().count()).then_some(best)
+}
+
+/// As [`nearest`], as the end of an error: "; did you mean `kitchen`?", or nothing.
+#[must_use]
+pub fn did_you_mean<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+    nearest(word, known).map_or_else(String::new, |known| format!("; did you mean `{known}`?"))
+}
+
+fn edit_distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, y) in b.iter().enumerate() {
+            let replaced = diagonal + usize::from(x != *y);
+            diagonal = row[j + 1];
+            row[j + 1] = replaced.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
+
 #[must_use]
 pub(crate) fn without_mark(text: &str) -> &str {
     text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(text)

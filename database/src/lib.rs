@@ -345,10 +345,7 @@ impl Database {
     /// # Errors
     /// When the disk refuses, or the file was moved or removed.
     pub fn sync(&mut self) -> rusqlite::Result<()> {
-        self.write_synced(|transaction| {
-            let count = "INSERT INTO meta VALUES ('syncs', 1) ON CONFLICT (key) DO UPDATE SET value = value + 1";
-            transaction.prepare_cached(count)?.execute([]).map(|_| ())
-        })
+        self.write_synced(count_sync)
     }
 
     /// Runs work in one transaction, which is on the disk afterwards, with all commits before it.
@@ -426,6 +423,26 @@ impl Database {
             "the file was removed, or its disk is gone, so the next start will not find what was written; restart the process, which makes a new one",
         ))
     }
+}
+
+/// Opens a database for reading, also while its process writes to it.
+///
+/// # Errors
+/// When there is none, or it cannot be read.
+pub fn look(path: &Path) -> rusqlite::Result<Connection> {
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let connection = Connection::open_with_flags(path, flags)?;
+    connection.busy_timeout(std::time::Duration::from_secs(5))?;
+    Ok(connection)
+}
+
+/// The work of a transaction that only syncs: one without a change writes nothing.
+///
+/// # Errors
+/// When the disk refuses.
+pub fn count_sync(transaction: &Transaction<'_>) -> rusqlite::Result<()> {
+    let count = "INSERT INTO meta VALUES ('syncs', 1) ON CONFLICT (key) DO UPDATE SET value = value + 1";
+    transaction.prepare_cached(count)?.execute([]).map(|_| ())
 }
 
 /// The content of a row; `None` if a column has a value that no sound row has.

@@ -376,4 +376,13 @@ mod tests {
         drop((port, server, node));
         domain.clean_up().unwrap();
     }
+
+    #[test]
+    fn an_answer_leads_to_no_file_but_one_of_an_answer() {
+        let named = |name: &str| name_of(format!("{IN_FILE}{name}{END}").as_bytes()).map(str::to_owned);
+        assert_eq!(named("0123456789abcdef").as_deref(), Some("0123456789abcdef"));
+        for name in ["", "0123456789abcde", "0123456789abcdef0", "0123456789abcde/", "../../etc/passwd"] {
+            assert_eq!(named(name), None, "{name:?}");
+        }
+    }
 }

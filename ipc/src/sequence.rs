@@ -134,6 +134,16 @@ mod tests {
     }
 
     #[test]
+    fn each_missing_message_counts() {
+        let mut follower = Follower::default();
+        assert_eq!(follower.take(7, 1), Arrival::New);
+        for (sequence, missed) in [(3, 1), (6, 2), (107, 100)] {
+            assert_eq!(follower.take(7, sequence), Arrival::AfterGap { missed });
+        }
+        assert_eq!(follower.take(7, 108), Arrival::New);
+    }
+
+    #[test]
     fn epochs_differ() {
         assert_ne!(random_epoch(), random_epoch());
     }

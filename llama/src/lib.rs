@@ -14,6 +14,7 @@
 //! ```
 
 pub mod gguf;
+pub mod memory;
 
 mod model;
 

@@ -3,6 +3,10 @@
 //! **The prefix stays.** After a call the cache holds the prompt on every sequence in use. The next call removes only the difference and
 //! decodes only the rest.
 //!
+//! **Other prefixes too.** A window loses its oldest sentences at once, and then nearly all of its tokens have other positions. So the
+//! next window is decoded in small parts before, and its cells wait outside the context ([`LanguageModel::read_aside`]). Persons who act in
+//! turn have their prefixes there, too.
+//!
 //! **One batch.** New prompt tokens and the tree behind them go to the decoder in one call. A token carries the ids of all paths through
 //! it, and a prompt token the ids of all paths, which needs the unified cache. Trees with more paths than sequences go in several calls.
 
@@ -15,6 +19,7 @@ use std::time::Instant;
 
 use llama_cpp_2::context::LlamaContext;
 use llama_cpp_2::context::params::{KvCacheType, LlamaContextParams};
+use llama_cpp_2::context::session::{LlamaStateSeqFlags, SeqState};
 use llama_cpp_2::llama_backend::LlamaBackend;
 use llama_cpp_2::llama_batch::LlamaBatch;
 use llama_cpp_2::model::LlamaModel as Weights;
@@ -50,6 +55,9 @@ const SMALL_CALL_TOKENS: usize = 64;
 const Q8_PARAMETERS_MAX: u64 = 50_000_000;
 /// llama.cpp rounds the positions of a context up to a multiple of this.
 const POSITIONS_STEP: u32 = 256;
+
+/// Most prefixes outside the context: two for each of four persons. One of the embedded model takes about half a megabyte.
+const ASIDE_MAX: usize = 8;
 
 /// Tokens that llama.cpp computes at a time. Its buffers have a row of logits for each, and most events are shorter.
 const TOKENS_AT_A_TIME: u32 = 128;
@@ -172,9 +180,12 @@ self_cell::self_cell!(
     struct Loaded {
         owner: Arc<Weights>,
         #[not_covariant]
-        dependent: LlamaContext,
+        dependent: MaybeContext,
     }
 );
+
+/// `None` until the first [`LanguageModel::reserve`]: only then the needed size is known.
+type MaybeContext<'a> = Option<LlamaContext<'a>>;
 
 /// A model that llama.cpp runs.
 pub struct LlamaModel {
@@ -183,6 +194,7 @@ pub struct LlamaModel {
     batch_tokens: usize,
     info: ModelInfo,
     options: LlamaOptions,
+    /// Positions of the context, 0 without one.
     positions: u32,
     small_tokens: usize,
     /// Set on the prefetcher's copy.
@@ -198,6 +210,8 @@ pub struct LlamaModel {
     kept_sequences: u32,
     /// Whether the cache holds a tree beyond `kept`.
     untidy: bool,
+    /// Prefixes outside the context, with their cells: the oldest first.
+    aside: Vec<(Vec<Token>, SeqState)>,
     sequence_ids: Vec<i32>,
     rows: Vec<(i32, usize)>,
     /// Working memory of the tokeniser.
@@ -317,19 +331,11 @@ fn sentences_apart(vocabulary: &LlamaVocab<'_>) -> bool {
 
 fn sized(options: &LlamaOptions, trained_tokens: u32, positions: u32, batch_tokens: u32) -> LlamaContextParams {
     let parameters = options.context_parameters(trained_tokens).with_n_ctx(NonZeroU32::new(positions));
+    // One more for prefixes of later prompts.
+    let sequences = options.sequences.saturating_add(1).clamp(1, SEQUENCES_MAX);
     // llama.cpp aborts if a batch has fewer tokens than there are sequences.
-    parameters.with_n_batch(batch_tokens.max(options.sequences)).with_n_ubatch(batch_tokens.min(TOKENS_AT_A_TIME))
-}
-
-fn load_context(
-    weights: Arc<Weights>,
-    options: &LlamaOptions,
-    positions: u32,
-    batch_tokens: u32,
-) -> Result<Loaded, String> {
-    let backend = backend()?;
-    let parameters = sized(options, weights.n_ctx_train(), positions, batch_tokens);
-    Loaded::try_new(weights, |weights| weights.new_context(backend, parameters)).map_err(|e| e.to_string())
+    let parameters = parameters.with_n_seq_max(sequences).with_n_batch(batch_tokens.max(sequences));
+    parameters.with_n_ubatch(batch_tokens.min(TOKENS_AT_A_TIME))
 }
 
 /// Tokens of a [`SMALL_CALL`], at most `most`. llama.cpp multiplies by fours.
@@ -371,7 +377,6 @@ impl LlamaModel {
         let text = |key: &str| weights.meta_val_str(key).ok();
         let options = &LlamaOptions { cache: options.cache.chosen(&header, weights.n_params()), ..options.clone() };
         let context_tokens = options.positions(weights.n_ctx_train());
-        let positions = POSITIONS_STEP.min(context_tokens);
         let sequences = options.sequences.clamp(1, SEQUENCES_MAX);
         let vocabulary = weights.vocab();
         let info = ModelInfo {
@@ -403,14 +408,12 @@ impl LlamaModel {
         let batch_tokens = options.context_parameters(weights.n_ctx_train()).n_batch();
         let small_tokens = small_tokens(weights.n_params(), SMALL_CALL_TOKENS.min(batch_tokens as usize));
         Ok(Self {
-            loaded: load_context(Arc::new(weights), options, positions, batch_tokens).map_err(|reason| {
-                ModelError::Context { model: info.name.clone(), context_tokens: positions, reason }
-            })?,
+            loaded: Loaded::new(Arc::new(weights), |_| None),
             batch: LlamaBatch::new(batch_tokens as usize, sequences.cast_signed()),
             batch_tokens: batch_tokens as usize,
             info,
             options: options.clone(),
-            positions,
+            positions: 0,
             small_tokens,
             is_stopped: None,
             moved: None,
@@ -421,6 +424,7 @@ impl LlamaModel {
             kept: Vec::new(),
             kept_sequences: 1,
             untidy: false,
+            aside: Vec::new(),
             sequence_ids: Vec::new(),
             rows: Vec::new(),
             tokens: RefCell::new(Vec::with_capacity(context_tokens as usize)),
@@ -446,8 +450,8 @@ impl LlamaModel {
         self.positions
     }
 
-    fn with_context<T>(&mut self, run: impl FnOnce(&mut LlamaContext<'_>) -> T) -> T {
-        self.loaded.with_dependent_mut(|_, context| run(context))
+    fn with_context<T>(&mut self, run: impl FnOnce(&mut LlamaContext<'_>) -> T) -> Option<T> {
+        self.loaded.with_dependent_mut(|_, context| context.as_mut().map(run))
     }
 
     /// Removes all positions from `position` on from every sequence.
@@ -455,8 +459,8 @@ impl LlamaModel {
         let from = u32::try_from(position).unwrap_or(u32::MAX);
         let removed = self.with_context(|c| c.clear_kv_cache_seq(None, Some(from), None));
         match removed {
-            Ok(true) => Ok(()),
-            Ok(false) | Err(_) => {
+            None | Some(Ok(true)) => Ok(()),
+            Some(Ok(false) | Err(_)) => {
                 Err(self.decode_error(0, format!("positions from {position} on cannot be removed from its cache")))
             }
         }
@@ -466,6 +470,29 @@ impl LlamaModel {
     fn decode_error(&mut self, tokens: usize, reason: String) -> ModelError {
         self.forget();
         ModelError::Decode { tokens, reason }
+    }
+
+    /// The place of the prefix in `aside` that shares most tokens with `prompt`, and how many.
+    fn nearest_aside(&self, prompt: &[Token]) -> Option<(usize, usize)> {
+        let shared = self.aside.iter().map(|(tokens, _)| common_prefix(tokens, prompt)).enumerate();
+        shared.max_by_key(|&(_, shared)| shared)
+    }
+
+    /// Makes a prefix of `aside` the kept one, if `prompt` shares more tokens with it.
+    fn fetch_aside(&mut self, prompt: &[Token]) -> Result<(), ModelError> {
+        let Some((place, shared)) = self.nearest_aside(prompt) else { return Ok(()) };
+        if shared <= common_prefix(&self.kept, prompt) {
+            return Ok(());
+        }
+        let (tokens, state) = self.aside.remove(place);
+        self.truncate_cache(0)?;
+        self.kept.clear();
+        (self.kept_sequences, self.untidy) = (1, false);
+        if let Some(set) = self.with_context(|context| context.state_seq_set(&state, 0)) {
+            set.map_err(|error| self.decode_error(0, error.to_string()))?;
+            self.kept = tokens;
+        }
+        Ok(())
     }
 
     /// Sends the batch to the decoder and passes its rows to `visit`.
@@ -484,12 +511,13 @@ impl LlamaModel {
         let (batch, rows) = (&mut self.batch, &self.rows);
         let start = Instant::now();
         let result = self.loaded.with_dependent_mut(|_, context| {
-            context.decode(batch)?;
+            let Some(context) = context else { return Err("it has no context".to_owned()) };
+            context.decode(batch).map_err(|error| error.to_string())?;
             stats.decoder_ns += u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
             for &(position, row) in rows {
                 visit(row, context.get_logits_ith(position));
             }
-            Ok::<(), llama_cpp_2::DecodeError>(())
+            Ok(())
         });
         self.batch.clear();
         self.rows.clear();
@@ -497,7 +525,7 @@ impl LlamaModel {
         if let Some(moved) = &self.moved {
             moved();
         }
-        result.map_err(|e| self.decode_error(usize::try_from(tokens).unwrap_or(0), e.to_string()))
+        result.map_err(|reason| self.decode_error(usize::try_from(tokens).unwrap_or(0), reason))
     }
 
     fn push(
@@ -561,6 +589,7 @@ impl LanguageModel for LlamaModel {
     }
 
     fn forget(&mut self) {
+        self.aside.clear();
         self.batch.clear();
         self.rows.clear();
         self.with_context(|context| context.clear_kv_cache());
@@ -581,15 +610,16 @@ impl LanguageModel for LlamaModel {
         let trained_tokens = self.loaded.borrow_owner().n_ctx_train();
         let batch_tokens = u32::try_from(self.batch_tokens).unwrap_or(u32::MAX);
         let parameters = sized(&self.options, trained_tokens, positions, batch_tokens);
-        self.loaded
-            .with_dependent_mut(|weights, context| {
-                *context = weights.new_context(backend, parameters)?;
-                Ok::<(), llama_cpp_2::LlamaContextLoadError>(())
-            })
-            .map_err(|error| fail(error.to_string()))?;
-        self.positions = positions;
+        // First the old one goes, so that memory never holds both.
+        let made = self.loaded.with_dependent_mut(|weights, context| {
+            *context = None;
+            *context = Some(weights.new_context(backend, parameters)?);
+            Ok::<(), llama_cpp_2::LlamaContextLoadError>(())
+        });
+        self.positions = if made.is_ok() { positions } else { 0 };
+        let made = made.map_err(|error| fail(error.to_string()));
         self.forget();
-        Ok(())
+        made
     }
 
     fn read(&mut self, prompt: &[Token]) -> Result<bool, ModelError> {
@@ -598,14 +628,75 @@ impl LanguageModel for LlamaModel {
         Ok(until == prompt.len())
     }
 
+    fn read_aside(&mut self, prompt: &[Token], calls: usize) -> Result<bool, ModelError> {
+        let aside = self.sequences;
+        let most = self.kept.len() + prompt.len();
+        if !self.info.shares_prefix || aside >= SEQUENCES_MAX || most > self.info.context_tokens {
+            return Ok(true);
+        }
+        if most > self.positions as usize {
+            self.reserve(most)?;
+        }
+        let nearest = self.nearest_aside(prompt);
+        let shared = nearest.map_or(0, |(_, shared)| shared);
+        if shared == prompt.len() {
+            return Ok(true);
+        }
+        if self.untidy {
+            self.truncate_cache(self.kept.len())?;
+            self.untidy = false;
+        }
+        let shared_kept = common_prefix(&self.kept, prompt);
+        let from = shared.max(shared_kept);
+        // llama.cpp multiplies by fours.
+        let part = (prompt.len() - from).div_ceil(calls.max(1)).next_multiple_of(4).min(self.small_tokens);
+        let until = prompt.len().min(from + part);
+        let stored = nearest.filter(|_| shared > shared_kept).map(|(place, _)| &self.aside[place].1);
+        let id = aside.cast_signed();
+        let filled = self.loaded.with_dependent_mut(|_, context| {
+            let Some(context) = context else { return Ok(()) };
+            let from = u32::try_from(from).ok();
+            match stored {
+                Some(state) => {
+                    context.state_seq_set(state, id).map_err(|error| error.to_string())?;
+                    context.clear_kv_cache_seq(Some(aside), from, None).map(drop).map_err(|error| error.to_string())
+                }
+                None if shared_kept > 0 => {
+                    context.copy_kv_cache_seq(0, id, Some(0), from).map_err(|error| error.to_string())
+                }
+                None => Ok(()),
+            }
+        });
+        filled.map_err(|reason| self.decode_error(0, reason))?;
+        let (mut stats, mut none) = (DecodeStats::default(), |_: usize, _: &[f32]| {});
+        for (position, &token) in prompt.iter().enumerate().take(until).skip(from) {
+            self.push(token, position, aside..aside + 1, None, &mut stats, &mut none)?;
+        }
+        self.flush(&mut stats, &mut none)?;
+        let state = self.with_context(|context| {
+            let state = context.state_seq_get(id, LlamaStateSeqFlags::empty()).map_err(|error| error.to_string())?;
+            context.clear_kv_cache_seq(Some(aside), None, None).map_err(|error| error.to_string())?;
+            Ok(state)
+        });
+        let Some(state) = state.transpose().map_err(|reason: String| self.decode_error(0, reason))? else {
+            return Ok(true);
+        };
+        match nearest {
+            // The former part of the same prompt.
+            Some((place, shared)) if shared == self.aside[place].0.len() => drop(self.aside.remove(place)),
+            _ if self.aside.len() >= ASIDE_MAX => drop(self.aside.remove(0)),
+            _ => {}
+        }
+        self.aside.push((prompt[..until].to_vec(), state));
+        Ok(until == prompt.len())
+    }
+
     fn twin(&self, is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
         // With several threads, OpenMP would have more of them than there are cores, and put waiting threads to sleep.
         let options = LlamaOptions { threads: 1, ..self.options.clone() };
-        let weights = Arc::clone(self.loaded.borrow_owner());
-        let batch_tokens = u32::try_from(self.small_tokens).unwrap_or(u32::MAX);
-        let fail = |reason| ModelError::Load { path: self.info.name.clone(), reason };
-        Ok(Some(Self {
-            loaded: load_context(weights, &options, self.positions, batch_tokens).map_err(fail)?,
+        let mut twin = Self {
+            loaded: Loaded::new(Arc::clone(self.loaded.borrow_owner()), |_| None),
+            positions: 0,
             batch: LlamaBatch::new(self.small_tokens, self.sequences.cast_signed()),
             batch_tokens: self.small_tokens,
             info: self.info.clone(),
@@ -615,11 +706,14 @@ impl LanguageModel for LlamaModel {
             kept: Vec::new(),
             kept_sequences: 1,
             untidy: false,
+            aside: Vec::new(),
             sequence_ids: Vec::new(),
             rows: Vec::new(),
             tokens: RefCell::new(Vec::new()),
             ..*self
-        }))
+        };
+        twin.reserve(self.positions as usize)?;
+        Ok(Some(twin))
     }
 
     fn watch(&mut self, moved: Progress) {
@@ -658,6 +752,7 @@ impl LanguageModel for LlamaModel {
         if !self.info.shares_prefix {
             self.forget();
         }
+        self.fetch_aside(prompt)?;
         // The last prompt token is decoded again if its logits are asked for.
         let keep = common_prefix(&self.kept, prompt).min(prompt.len() - usize::from(want_prompt_row));
         if self.untidy || keep < self.kept.len() {
@@ -674,7 +769,7 @@ impl LanguageModel for LlamaModel {
             let copied =
                 self.with_context(|c| (from..to).try_for_each(|s| c.copy_kv_cache_seq(0, s.cast_signed(), None, None)));
             if keep > 0 {
-                copied.map_err(|e| self.decode_error(0, e.to_string()))?;
+                copied.transpose().map_err(|e| self.decode_error(0, e.to_string()))?;
             }
             self.kept_sequences = wave_paths;
         }

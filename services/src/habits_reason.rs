@@ -5,7 +5,6 @@ use std::fmt;
 use roomcast_core::habits::{RoomShares, Shares};
 use roomcast_core::ids::PersonId;
 use roomcast_core::text::count;
-use roomcast_ipc::raw::{LEARNED_SHARE_S, PersonForecastV1, PersonForecastsV1};
 use serde::{Deserialize, Serialize};
 
 /// The name of elsewhere among the places of a set.
@@ -26,21 +25,6 @@ pub struct HorizonLine {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub set: Vec<String>,
     /// This forecast's probability of the set; `None` if unknown.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub set_probability: Option<f64>,
-}
-
-/// The learned share of a published forecast, and its set, as a recording has them.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PublishedLine {
-    /// The horizon, in seconds.
-    pub horizon_s: f64,
-    /// The share that was learned of this home.
-    pub learned: f64,
-    /// As [`HorizonLine::set`].
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub set: Vec<String>,
-    /// As [`HorizonLine::set_probability`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub set_probability: Option<f64>,
 }
@@ -78,43 +62,9 @@ pub struct PersonHabits {
     pub rooms: Vec<RoomReason>,
     /// The shares of the forecast at each horizon.
     pub forecast: Vec<HorizonLine>,
-    /// The published lines, if only a recording is known.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub published: Vec<PublishedLine>,
     /// The promised coverage of the sets, 0 to 1.
     #[serde(default)]
     pub coverage: f64,
-}
-
-#[cfg_attr(not(feature = "recording"), allow(dead_code, reason = "only recordings have it"))]
-impl PersonHabits {
-    /// The learned parts in a published forecast, for each person with any.
-    #[must_use]
-    pub(crate) fn of_published(forecasts: &PersonForecastsV1) -> Vec<Self> {
-        let learned = forecasts.persons().iter().filter(|own| own.set_coverage > 0.0 || own.observations > 0.0);
-        learned.map(|own| Self::of_person(forecasts, own)).collect()
-    }
-
-    fn of_person(forecasts: &PersonForecastsV1, own: &PersonForecastV1) -> Self {
-        let published = LEARNED_SHARE_S.into_iter().zip(own.learned_share).map(|(ahead_s, learned)| {
-            let (mut set, mut set_probability) = (Vec::new(), None);
-            if let Some(horizon) = forecasts.horizons_s().iter().position(|horizon_s| *horizon_s == ahead_s) {
-                let rooms = forecasts.rooms().enumerate();
-                let held = rooms.filter(|(room, _)| own.set_holds(horizon, *room) == Some(true));
-                set.extend(held.map(|(_, id)| id.to_owned()));
-                set.extend((own.set_holds_elsewhere(horizon) == Some(true)).then(|| ELSEWHERE.to_owned()));
-                set_probability = own.set_probability(horizon);
-            }
-            PublishedLine { horizon_s: f64::from(ahead_s), learned: f64::from(learned), set, set_probability }
-        });
-        Self {
-            person: PersonId(own.person),
-            observations: f64::from(own.observations),
-            published: published.collect(),
-            coverage: f64::from(own.set_coverage),
-            ..Self::default()
-        }
-    }
 }
 
 /// Most things and rooms in a text.
@@ -205,10 +155,6 @@ impl fmt::Display for PersonHabits {
             )?;
             self.write_set(f, &line.set, line.set_probability)?;
         }
-        for PublishedLine { horizon_s, learned, set, set_probability } in &self.published {
-            write!(f, "  In {}: {} of the forecast was learned", ahead(*horizon_s), percent(*learned))?;
-            self.write_set(f, set, *set_probability)?;
-        }
         Ok(())
     }
 }
@@ -216,31 +162,6 @@ impl fmt::Display for PersonHabits {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_published_forecast_says_what_of_it_was_learned() {
-        let mut forecasts =
-            PersonForecastsV1 { room_count: 2, horizon_count: 2, persons: 2, person_count: 2, ..Default::default() };
-        (forecasts.horizon_s[0], forecasts.horizon_s[1]) = (60.0, 900.0);
-        for (at, id) in ["kitchen", "bedroom"].into_iter().enumerate() {
-            forecasts.id[at][..id.len()].copy_from_slice(id.as_bytes());
-        }
-        // The second person has no learned part.
-        let own = &mut forecasts.person[0];
-        (own.person, own.set_coverage, own.observations) = (7, 0.9, 41.0);
-        (own.room_set[0], own.room_set[1], own.set_elsewhere, own.learned_share) =
-            (0b10, 0b01, 0b10, [0.25, 0.5, 0.75]);
-        (own.probability[1][0], own.probability[0][1], own.elsewhere[1]) = (0.75, 0.25, 0.125);
-        let learned = PersonHabits::of_published(&forecasts);
-        assert_eq!(learned.len(), 1);
-        assert_eq!(
-            learned[0].to_string(),
-            "What was learned, from 41 observations\n  \
-            In 1 min: 25 % of the forecast was learned; set for 90 % on the long run, 75 % by this forecast: bedroom\n  \
-            In 15 min: 50 % of the forecast was learned; set for 90 % on the long run, 38 % by this forecast: kitchen, elsewhere\n  \
-            In 1 h: 75 % of the forecast was learned\n"
-        );
-    }
 
     #[test]
     fn a_text_says_where_a_probability_comes_from_and_from_how_much() {

@@ -35,6 +35,8 @@ pub mod setup;
 
 pub mod state_file;
 
+mod kept;
+
 pub mod slug;
 
 pub mod message_text;

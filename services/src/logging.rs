@@ -4,6 +4,7 @@
 //! may wait, and further lines are lost: the log never delays the scorer.
 
 use std::io::{self, IsTerminal, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
@@ -18,6 +19,10 @@ const FILTER_VARIABLE: &str = "ROOMCAST_LOG";
 
 /// llama.cpp logs many details that matter only when a model does not load.
 const FILTER_DEFAULT: &str = "info,llama-cpp-2=warn,llama_cpp_2=error,rumqttc=error";
+
+/// The filter of `--verbose`.
+const FILTER_VERBOSE: &str = "info,llama-cpp-2=warn,llama_cpp_2=error,rumqttc=error,roomcast=debug";
+static IS_VERBOSE: AtomicBool = AtomicBool::new(false);
 
 /// Most lines that wait to be written. The memory for their places is taken at the start, 32 bytes each.
 const LINES_MAX: usize = 8_192;
@@ -42,6 +47,11 @@ fn filter_of(text: &str) -> Result<Targets, String> {
     parts.join(",").parse().map_err(|error: tracing_subscriber::filter::ParseError| error.to_string())
 }
 
+/// Logs each step, unless `ROOMCAST_LOG` is set. Call it before [`init`].
+pub fn verbose() {
+    IS_VERBOSE.store(true, Ordering::Relaxed);
+}
+
 /// Sets up logging, once per process; a second call changes nothing.
 pub fn init() -> Log {
     let wanted = std::env::var(FILTER_VARIABLE).ok().filter(|text| !text.trim().is_empty());
@@ -49,7 +59,8 @@ pub fn init() -> Log {
         Ok(given) => (given, None),
         Err(error) => (None, Some(error)),
     };
-    let filter = given.or_else(|| FILTER_DEFAULT.parse().ok()).unwrap_or_default();
+    let default = if IS_VERBOSE.load(Ordering::Relaxed) { FILTER_VERBOSE } else { FILTER_DEFAULT };
+    let filter = given.or_else(|| default.parse().ok()).unwrap_or_default();
     let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
     let registry = tracing_subscriber::registry().with(filter);
     // An error means that logging is set up already, for example by a test.
@@ -190,6 +201,9 @@ mod tests {
         assert!(!default.would_enable("roomcast_services::daemon", &tracing::Level::DEBUG));
         assert!(!default.would_enable("llama-cpp-2", &tracing::Level::INFO));
         assert!(!default.would_enable("rumqttc::state", &tracing::Level::WARN));
+        let verbose: Targets = FILTER_VERBOSE.parse().unwrap();
+        assert!(verbose.would_enable("roomcast_services::daemon", &tracing::Level::DEBUG));
+        assert!(!verbose.would_enable("rumqttc::state", &tracing::Level::WARN));
         assert!(filter_of("info,roomcast=loud").is_err() && filter_of("info,roomcast[step]=debug").is_err());
         let spaced = filter_of(" info , roomcast_services=debug,").unwrap();
         assert!(spaced.would_enable("roomcast_services::daemon", &tracing::Level::DEBUG));

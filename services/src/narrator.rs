@@ -392,6 +392,9 @@ impl Narrator {
     }
 }
 
+/// The narrator of corrections ("Jon is in the office").
+pub const CORRECTIONS: &str = "roomcast-person";
+
 /// Publishes all of `input`, no faster than a daemon with these limits accepts, and stays until it is confirmed or `linger_s` is over.
 ///
 /// # Errors
@@ -567,6 +570,7 @@ mod tests {
     use roomcast_ipc::Sender;
 
     use super::*;
+    use crate::eventually::eventually;
 
     /// A clock can add any of them.
     #[test]
@@ -697,9 +701,7 @@ mod tests {
         let thread =
             std::thread::spawn(move || run(&config, limits, &own_domain, input, Pace::Seconds(0.0), &own_stop));
         // One item is in hand, one is in the channel, and the next was read after both.
-        while given.load(SeqCst) < UNDER_WAY + 3 {
-            std::thread::sleep(Duration::from_millis(1));
-        }
+        eventually("all are read ahead", || (given.load(SeqCst) >= UNDER_WAY + 3).then_some(()));
         let back_ns = clock::monotonic_ns();
         let mut newest: Option<NarrationV1> = None;
         let mut late = 0;

@@ -12,6 +12,7 @@ use roomcast_core::pipeline::{Pipeline, PipelineError, PipelineOptions};
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::scorer::{LanguageModel, ModelError, Scorer, familiarity};
 use roomcast_core::semantic_map::{SceneError, SemanticMap};
+use roomcast_core::text::did_you_mean;
 use roomcast_llama::{LlamaModel, LlamaOptions, file_sha256};
 
 /// The service cannot become ready.
@@ -26,8 +27,9 @@ pub enum SetupError {
     Scene(#[from] SceneError),
     /// Neither a file nor the name of a shipped scene.
     #[error(
-        "there is no scene {path}: give a scene's file, or a shipped scene by its name, {}",
-        embedded::scene_names()
+        "there is no scene {path}: give a scene's file, or a shipped scene by its name, {}{}",
+        embedded::scene_names(),
+        did_you_mean(.path, embedded::SCENES.iter().map(|scene| scene.name))
     )]
     NoScene {
         /// The given path.
@@ -35,8 +37,9 @@ pub enum SetupError {
     },
     /// Neither a file nor the name of a shipped activity program.
     #[error(
-        "there is no activity program {path}: give a program's file, or a shipped program by its name, {}",
-        embedded::program_names()
+        "there is no activity program {path}: give a program's file, or a shipped program by its name, {}{}",
+        embedded::program_names(),
+        did_you_mean(.path, embedded::PROGRAMS.iter().chain(&embedded::WORK_PROGRAMS).map(|program| program.name))
     )]
     NoProgram {
         /// The given path.
@@ -76,7 +79,7 @@ pub enum SetupError {
 /// # Errors
 /// When it cannot be loaded.
 pub fn load_model(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaModel, SetupError> {
-    Ok(match path {
+    let model = match path {
         Some(path) => {
             let mut scorer = Scorer::new(LlamaModel::load(path, options)?);
             // Scoring reports a failure in its turn.
@@ -91,7 +94,9 @@ pub fn load_model(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaMo
                 error => error,
             })?
         }
-    })
+    };
+    tracing::debug!(model = model.info().name, "loaded the model");
+    Ok(model)
 }
 
 /// Loads the scene file at `path`, a shipped scene if `path` is its bare name, or by default the studio flat.
@@ -104,13 +109,15 @@ pub fn load_map(path: Option<&Path>) -> Result<SemanticMap, SetupError> {
         Some(path) if !path.exists() => path.to_str().and_then(embedded::scene).map(|scene| scene.text),
         Some(_) => None,
     };
-    Ok(match (text, path) {
+    let map = match (text, path) {
         (None, Some(path)) if matches!(path.try_exists(), Ok(false)) => {
             return Err(SetupError::NoScene { path: path.display().to_string() });
         }
         (None, Some(path)) => SemanticMap::load(path)?,
         (text, _) => SemanticMap::from_json(text.unwrap_or(embedded::SCENES[0].text))?,
-    })
+    };
+    tracing::debug!(map = map.name(), rooms = map.rooms().len(), items = map.items().len(), "loaded the map");
+    Ok(map)
 }
 
 /// Loads the activity program at `path`, or a shipped program if `path` is its bare name.

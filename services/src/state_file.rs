@@ -7,13 +7,6 @@ use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 pub(crate) use roomcast_ipc::own_file::require_own;
-use serde::Serialize;
-
-use crate::clock;
-use crate::logging::Limiter;
-
-/// The interval of warnings about a file that cannot be written.
-const COMPLAINT_NS: u64 = 60_000_000_000;
 
 /// Creates the state directory and its missing parents. Other users may not read it.
 ///
@@ -51,64 +44,10 @@ pub(crate) fn read_bytes(path: &Path, bytes_max: u64) -> io::Result<Option<Vec<u
     Ok(Some(bytes))
 }
 
-/// A small file of JSON that follows a value across changes.
-#[derive(Debug)]
-pub(crate) struct Kept<T> {
-    path: PathBuf,
-    /// The known content of the file.
-    written: Option<T>,
-    /// The file survives a power loss.
-    for_good: bool,
-    log: Limiter,
-}
-
-impl<T: PartialEq + Serialize> Kept<T> {
-    /// The first value replaces the file.
-    pub(crate) fn new(path: PathBuf) -> Self {
-        Self { path, written: None, for_good: false, log: Limiter::new(COMPLAINT_NS) }
-    }
-
-    /// As [`Self::new`], and each value survives a power loss.
-    pub(crate) fn for_good(path: PathBuf) -> Self {
-        Self { for_good: true, ..Self::new(path) }
-    }
-
-    pub(crate) fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// Replaces the file if the value has changed. After a failure the next call tries again. The log warns with `loss`, the cost and the
-    /// remedy, once a minute.
-    pub(crate) fn keep(&mut self, value: T, loss: &str) {
-        if self.written.as_ref() == Some(&value) {
-            return;
-        }
-        let bytes = serde_json::to_vec(&value).map_err(io::Error::from);
-        let write = if self.for_good { replace_for_good } else { replace };
-        match bytes.and_then(|bytes| write(&self.path, &bytes)) {
-            Ok(()) => self.written = Some(value),
-            Err(error) => {
-                if let Some(not_told) = self.log.pass(clock::monotonic_ns()) {
-                    tracing::warn!(%error, path = %self.path.display(), not_told, "{loss}");
-                }
-            }
-        }
-    }
-}
-
-/// Replaces a file atomically. Only its owner may read it. It survives a crash of this process, but perhaps not a power loss.
+/// Replaces a file atomically. Only its owner may read it. It survives a power loss.
 ///
 /// # Errors
 /// When the directory cannot be written or [`require_own`] refuses the file; the old file is as it was.
-pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    require_own(path)?;
-    write(path, bytes, OWNER_ALONE, false)
-}
-
-/// As [`replace`], and the file survives a power loss.
-///
-/// # Errors
-/// As [`replace`], or when the disk refuses.
 pub(crate) fn replace_for_good(path: &Path, bytes: &[u8]) -> io::Result<()> {
     require_own(path)?;
     write(path, bytes, OWNER_ALONE, true)
@@ -203,30 +142,13 @@ mod tests {
         assert_eq!(read(&path, 3).unwrap(), None);
         replace_for_good(&path, b"abc").unwrap();
         assert_eq!(read(&path, 3).unwrap().as_deref(), Some("abc"));
-        replace(&path, b"abcd").unwrap();
+        replace_for_good(&path, b"abcd").unwrap();
         assert!(read(&path, 3).unwrap_err().to_string().contains("more than 3 bytes"));
         std::fs::write(&path, [0xff]).unwrap();
         read(&path, 3).unwrap_err();
         let folder = directory.path().join("folder");
         make_folder(&folder).unwrap();
         assert!(read(&folder, 3).unwrap_err().to_string().contains("no plain file"));
-    }
-
-    #[test]
-    fn what_could_not_be_written_is_written_when_it_can_be() {
-        let outer = tempfile::tempdir().unwrap();
-        let path = outer.path().join("state/value.json");
-        let mut kept = Kept::new(path.clone());
-        kept.keep(7, "it is not kept");
-        make_folder(path.parent().unwrap()).unwrap();
-        kept.keep(7, "it is not kept");
-        assert_eq!(read(&path, 9).unwrap().as_deref(), Some("7"));
-        // An unchanged value is not written again.
-        std::fs::remove_file(&path).unwrap();
-        kept.keep(7, "it is not kept");
-        assert!(!path.exists());
-        kept.keep(8, "it is not kept");
-        assert_eq!(read(&path, 9).unwrap().as_deref(), Some("8"));
     }
 
     #[test]
@@ -244,7 +166,7 @@ mod tests {
                 .all(|name| at(name).exists())
         );
         // A replaced file leaves no temporary file.
-        replace(&at("habits"), b"new").unwrap();
+        replace_for_good(&at("habits"), b"new").unwrap();
         assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 5);
         assert!(remove_unfinished(&at("none/habits")).is_err());
     }
@@ -258,18 +180,16 @@ mod tests {
         rustix::fs::mknodat(rustix::fs::CWD, at("pipe"), rustix::fs::FileType::Fifo, rustix::fs::Mode::RWXU, 0)
             .unwrap();
         for (name, reason) in [("link", "it is a symbolic link"), ("pipe", "it is no plain file")] {
-            for error in [
-                read(&at(name), 9).unwrap_err(),
-                replace(&at(name), b"new").unwrap_err(),
-                replace_for_good(&at(name), b"new").unwrap_err(),
-            ] {
+            for error in [read(&at(name), 9).unwrap_err(), replace_for_good(&at(name), b"new").unwrap_err()] {
                 assert!(error.to_string().starts_with(reason), "{error}");
             }
         }
         std::fs::set_permissions(at("victim"), Permissions::from_mode(0o666)).unwrap();
-        assert!(replace(&at("victim"), b"new").unwrap_err().to_string().contains("other users may write to it"));
+        assert!(
+            replace_for_good(&at("victim"), b"new").unwrap_err().to_string().contains("other users may write to it")
+        );
         std::fs::set_permissions(directory.path(), Permissions::from_mode(0o1777)).unwrap();
-        assert!(replace(&at("new"), b"new").unwrap_err().to_string().contains("may write to its folder"));
+        assert!(replace_for_good(&at("new"), b"new").unwrap_err().to_string().contains("may write to its folder"));
         assert_eq!(std::fs::read_to_string(at("victim")).unwrap(), "precious");
     }
 
@@ -303,7 +223,7 @@ mod tests {
         let plain = at("plain");
         std::fs::write(&plain, "").unwrap();
         write_out(&at("out"), b"new").unwrap();
-        replace(&at("kept"), b"new").unwrap();
+        replace_for_good(&at("kept"), b"new").unwrap();
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
         assert_eq!((mode(&at("out")), mode(&at("kept"))), (mode(&plain), OWNER_ALONE));
     }

@@ -68,7 +68,9 @@ fn check_names(config: &Config, file: &Path) -> CommandResult {
     }
     let lines: Vec<String> = failures.iter().map(|failure| format!("- {failure}")).collect();
     let text = format!("{}: {} things are wrong:\n{}", file.display(), lines.len(), lines.join("\n"));
-    Err(Failure::new(failures[0].code, text))
+    // A missing map has one exit code in all commands.
+    let missing = failures.iter().map(|failure| failure.code).find(|code| *code == exit_code::INPUT);
+    Err(Failure::new(missing.unwrap_or(failures[0].code), text))
 }
 
 /// The fault of the broker's address or files.

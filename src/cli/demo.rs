@@ -6,7 +6,6 @@
 
 use std::collections::VecDeque;
 use std::ffi::OsString;
-use std::fmt::Write as _;
 use std::io::{self, IsTerminal, PipeWriter, Write};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -20,6 +19,7 @@ use roomcast_ipc::{Domain, IpcError, ItemScoresSubscriber, Node, Subscriber};
 use roomcast_services::clock;
 
 use super::demo_robot::DemoRobot;
+use super::demo_story::{NAME, chart, reason, told};
 use super::stage::Stage;
 use super::{CommandResult, Failure, choice, count, demo_week, ranges, service, table};
 use crate::bar::bar;
@@ -109,21 +109,7 @@ pub fn run(args: &Args) -> CommandResult {
     let node = domain.open("roomcast-demo").map_err(ipc)?;
     let mut show = Show::new(&node, &grounding, &plot.timeline, speed).map_err(ipc)?;
 
-    let scene = format!(
-        "{}: {}, {}. {}, {}, {horizon_s} s of a person's time played {speed:.1} times faster.",
-        map.name(),
-        count(map.items().len(), "item"),
-        count(grounding.partitions().len(), "room"),
-        plot.timeline.title,
-        count(plot.timeline.done.len(), "step")
-    );
-    let robot = format!("The robot works {} s in a room, by the policy {}.", args.room_time, args.policy);
-    show.say(&[scene, robot]);
-    if !plot.timeline.skipped.is_empty() {
-        show.say(&[format!("Left out, since the map has none of it: {}.", plot.timeline.skipped.join(", "))]);
-    }
-    show.say(&[String::new()]);
-
+    show.begin(args, &map);
     let mut daemon = vec!["--scene".into(), args.scene.clone().into_os_string()];
     if let Some(model) = &args.model {
         daemon.extend(["--model".into(), model.clone().into_os_string()]);
@@ -132,7 +118,7 @@ pub fn run(args: &Args) -> CommandResult {
     let robot = DemoRobot::start(&domain, Duration::from_secs_f64(args.room_time as f64 / speed))?;
     let result = play(args, &mut stage, &mut show, speed, &stop);
     let result = result.and(robot.end());
-    show.close();
+    show.panel = show.panel.map(|_| 0);
     // The ports must be dropped before the domain can be removed.
     let (summary, unheard) = (show.summary(args, &plot, map.name()), show.unheard);
     drop((show, node));
@@ -142,7 +128,7 @@ pub fn run(args: &Args) -> CommandResult {
     }
     result?;
     // The reader of standard output has left: the show ends too, without an error.
-    if unheard { Ok(()) } else { super::print(&format!("{}\n", prose(&summary))) }
+    if unheard { Ok(()) } else { super::print(&format!("{summary}\n")) }
 }
 
 fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &Stop) -> CommandResult {
@@ -160,7 +146,7 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
     let (reading, writing) = io::pipe().map_err(failed)?;
     stage.start_with(
         "narrate",
-        &["-".into(), "--name".into(), "person".into(), "--person".into(), "0".into()],
+        &["-".into(), "--name".into(), "demo".into(), "--person".into(), NAME.into()],
         Stdio::from(reading),
         Stdio::null(),
     )?;
@@ -326,6 +312,34 @@ impl<'a> Show<'a> {
         })
     }
 
+    fn begin(&mut self, args: &Args, map: &SemanticMap) {
+        let title = self.timeline.title.trim_end_matches('.');
+        let mut lines = vec![
+            format!(
+                "{NAME} and a robot in {}: {}, {}.",
+                map.name(),
+                count(self.names.len(), "room"),
+                count(map.items().len(), "thing")
+            ),
+            format!(
+                "{NAME}: {title}, {}, {} s of a person's time, played {:.0} times faster.",
+                count(self.timeline.done.len(), "step"),
+                self.timeline.len(),
+                self.speed
+            ),
+            format!(
+                "Robot: cleans each room for {} s and avoids {NAME}, by the policy {}.",
+                args.room_time, args.policy
+            ),
+            "Below each event: how likely her next action is in each room, and with which thing.".to_owned(),
+        ];
+        if !self.timeline.skipped.is_empty() {
+            lines.push(format!("Left out, because the map does not have it: {}.", self.timeline.skipped.join(", ")));
+        }
+        lines.push(String::new());
+        self.say(&lines);
+    }
+
     fn poll(&mut self, timeout: Duration) -> Result<(), IpcError> {
         self.scores.wait(timeout)?;
         while let Some(scores) = self.scores.receive()? {
@@ -385,8 +399,8 @@ impl<'a> Show<'a> {
                 }
                 (_, Some((at_s, room))) => {
                     self.moves.pop_front();
-                    let way = if self.person.replace(room).is_none() { "begins in" } else { "enters" };
-                    self.say(&[format!("{at_s:6} s  person {way} the {}", self.names[room])]);
+                    self.person = Some(room);
+                    self.say(&[format!("{at_s:6} s  {NAME} is now in the {}.", self.names[room])]);
                 }
                 _ => return,
             }
@@ -402,26 +416,26 @@ impl<'a> Show<'a> {
             let before = self.decision.filter(|before| before.sequence == sequence);
             let room = before.and_then(|before| self.ids.iter().position(|id| id == before.to()));
             if let Some(room) = room {
-                self.say(&[format!(
-                    "{:6} s  report: work in the {} is finished",
-                    self.at_s(BootNs(at_ns)),
-                    self.names[room]
-                )]);
+                let at_s = self.at_s(BootNs(at_ns));
+                self.say(&[format!("{at_s:6} s  Report: the {} is done.", self.names[room])]);
             }
         }
         let room = self.ids.iter().position(|id| id == decision.to());
         let at_s = self.at_s(BootNs(decision.decided_ns));
         self.robot.push(Stay { from_s: at_s, room, works: decision.action == action::GO });
-        self.decision = Some(*decision);
+        let before = self.decision.replace(*decision);
+        if before.is_some_and(|before| (before.to(), before.reason()) == (decision.to(), decision.reason())) {
+            return;
+        }
         let fallback = if decision.has(decision_flags::FALLBACK) { " (fallback)" } else { "" };
-        let to = room.map_or("nowhere", |room| self.names[room].as_str());
-        let from = self.ids.iter().position(|id| id == decision.from()).map(|room| self.names[room].as_str());
-        let way = match from {
-            Some(from) if from == to => format!("stays in the {to}"),
-            Some(from) => format!("goes from the {from} to the {to}"),
-            None => format!("begins in the {to}"),
+        let from = self.ids.iter().any(|id| id == decision.from()).then(|| decision.from());
+        let way = match (room.map(|room| self.names[room].as_str()), from) {
+            (None, _) => "stays where it is".to_owned(),
+            (Some(to), Some(from)) if from == decision.to() => format!("stays in the {to}"),
+            (Some(to), Some(_)) => format!("goes to the {to}"),
+            (Some(to), None) => format!("begins in the {to}"),
         };
-        self.say(&[format!("{at_s:6} s  robot {way}{fallback}: {}", decision.reason())]);
+        self.say(&[format!("{at_s:6} s  Robot {way}{fallback}. {}", reason(decision))]);
     }
 
     fn scored(&mut self, scores: &RoomScoresV1) {
@@ -437,7 +451,7 @@ impl<'a> Show<'a> {
         // These are the first scores: they contain no event.
         let mut news = scores.observed_ns == 0;
         if news {
-            self.say(&[format!("{:6} s  nothing is known of the person yet", 0)]);
+            self.say(&[format!("{:6} s  No event yet.", 0)]);
         }
         // All events that these scores contain for the first time.
         while self.sentences.front().is_some_and(|(observed_ns, _)| *observed_ns <= scores.observed_ns) {
@@ -445,7 +459,7 @@ impl<'a> Show<'a> {
             self.tell(BootNs(observed_ns));
             let took_ms = scores.published_ns.saturating_sub(observed_ns) as f64 / 1e6;
             let at_s = self.at_s(BootNs(observed_ns));
-            self.say(&[format!("{at_s:6} s  {sentence}  (scored after {took_ms:.1} ms)")]);
+            self.say(&[format!("{at_s:6} s  {}  (scored in {took_ms:.1} ms)", told(&sentence))]);
             news = true;
         }
         if !news {
@@ -464,7 +478,7 @@ impl<'a> Show<'a> {
         let robot = self.robot.last().and_then(|stay| stay.room);
         let person = self.person;
         let rows = self.names.iter().zip(scores.rooms()).enumerate().map(|(index, (name, room))| {
-            let person = if person == Some(index) { " person" } else { "" };
+            let person = if person == Some(index) { " Ada" } else { "" };
             let robot = if robot == Some(index) { " robot" } else { "" };
             let percent = 100.0 * room.probability;
             let bar = bar(room.probability, BAR_WIDTH);
@@ -476,7 +490,7 @@ impl<'a> Show<'a> {
 
     fn objects(&self) -> String {
         let objects = self.top.iter().map(|(label, probability)| format!("{label} {:.1} %", 100.0 * probability));
-        format!("          next object: {}", objects.collect::<Vec<_>>().join(", "))
+        format!("          next thing: {}", objects.collect::<Vec<_>>().join(", "))
     }
 
     /// A moment in the person's time, in whole seconds, as the simulation counts.
@@ -519,10 +533,6 @@ impl<'a> Show<'a> {
         }
     }
 
-    fn close(&mut self) {
-        self.panel = self.panel.map(|_| 0);
-    }
-
     fn summary(&self, args: &Args, plot: &Plot, scene: &str) -> String {
         let (shared_s, covered_s) = tally(&plot.cost, args.room_time, &self.robot);
         let horizon_s = self.timeline.len();
@@ -530,17 +540,17 @@ impl<'a> Show<'a> {
             |q| self.latency_ns.as_ref().map_or(0.0, |latency_ns| latency_ns.value_at_quantile(q) as f64 / 1e6);
         let done = covered_s
             .map_or_else(|| "not every room was done".to_owned(), |s| format!("every room was done after {s} s"));
-        let mut text = format!(
-            "\n{}, {} in {scene}.\n\
-             The robot shared a room with the person for {shared_s:.0} of {horizon_s} s, and {done}.\n\
-             From observation to published scores: median {:.1} ms, 90 % within {:.1} ms, worst {:.1} ms.\n\n",
+        let figures = format!(
+            "{}, {} in {scene}.\n\
+             The robot shared a room with {NAME} for {shared_s:.0} of {horizon_s} s, and {done}.\n\
+             From an event to published scores: median {:.1} ms, 90 % within {:.1} ms, worst {:.1} ms.",
             count(self.timeline.done.len(), "event"),
             count(self.robot.len(), "decision"),
             quantile(0.5),
             quantile(0.9),
             quantile(1.0),
         );
-        let mut rows = table(&["robot", "shares (s)", "done after (s)", "not all done"]);
+        let mut rows = table(&["robot", "shared (s)", "all done after (s)", "not all done"]);
         let dash = || "-".to_owned();
         rows.add_row([
             format!("this one: {}", args.policy),
@@ -556,18 +566,18 @@ impl<'a> Show<'a> {
                 format!("{:.1} %", 100.0 * means.failure_rate),
             ]);
         }
-        // Writing into a text cannot fail.
-        let _ = write!(
-            text,
-            "{rows}\n\nSimulated: means over {} that begin in a random room, with the same person and seed; `roomcast-lab table2` \
-             --scene {} --program {} --room-time {} --seed {} gives the same.",
+        let source = format!(
+            "Simulated: means over {} that begin in a random room, with the same person and seed; `roomcast-lab table2 --scene {} --program {} \
+             --room-time {} --seed {}` gives the same.",
             count(plot.restarts as usize, "robot"),
             args.scene.display(),
             args.program.display(),
             args.room_time,
             args.seed,
         );
-        text
+        let rooms: Vec<usize> = self.timeline.rooms.iter().map(|room| room.0 as usize).collect();
+        let chart = chart(&self.names, &rooms, &self.robot, columns());
+        format!("\n{}\n\n{rows}\n\n{}\n\n{chart}", prose(&figures), prose(&source))
     }
 }
 

@@ -10,7 +10,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use roomcast_ipc::raw::PersonForecastV1;
 
-use super::{CommandResult, Failure};
+use super::{CommandResult, Failure, count};
 use crate::bar::bar;
 use crate::columns::{columns, prose};
 use crate::exit_code;
@@ -254,19 +254,37 @@ pub(super) fn run(config: &Config, days: usize, seed: u64) -> CommandResult {
     let life = Life::new(days, with.map(), with.pipeline().grounding(), seed)?;
     let is_wide = columns() >= WIDE;
     let text = format!(
-        "{} days of one person in {}: {} observations. Once a minute the daemon says where the person will be a quarter of an \
-         hour later, without habits and with what it has learned by then; a day's figures are the means of its minutes.",
-        days,
+        "One person in {} for {}: {} observations. Each minute the daemon forecasts the room in 15 minutes, without habits and with the habits that \
+         it has learned by then. \"Right\" is the share of minutes in which the likeliest room was right. The loss is smaller when a right room \
+         had a high probability. The room set should hold the person in 90 % of the minutes.",
         with.map().name(),
+        count(days, "day"),
         life.said().len()
     );
     super::print(&format!("{}\n\n{}\n", prose(&text), heading(is_wide)))?;
-    let mut all = Vec::new();
+    let (mut all, mut by_day) = (Vec::new(), Vec::new());
     watch(&life, with, without, |day, cases| {
         all.extend_from_slice(cases);
-        super::print(&line(WEEKDAYS[day % 7], &Figures::of(cases), is_wide))
+        let figures = Figures::of(cases);
+        by_day.push((WEEKDAYS[day % 7], figures));
+        super::print(&line(WEEKDAYS[day % 7], &figures, is_wide))
     })?;
-    super::print(&format!("{}\n", line("all days", &Figures::of(&all), is_wide)))
+    super::print(&format!("{}\n{}", line("all days", &Figures::of(&all), is_wide), chart(&by_day)))
+}
+
+/// Wrong forecasts of each day, without habits and with.
+fn chart(days: &[(&str, Figures)]) -> String {
+    const CELLS: usize = 40;
+    let wrong = |of: [f64; 2]| 1.0 - of[1];
+    let most = days.iter().flat_map(|(_, own)| [wrong(own.without), wrong(own.with)]).fold(0.01, f64::max);
+    let mut text = "Wrong forecasts, without habits (░) and with (█):\n\n".to_owned();
+    for (name, own) in days {
+        let cells = (wrong(own.without) / most * CELLS as f64).round() as usize;
+        let without = format!("{} {:.0} %", "░".repeat(cells), 100.0 * wrong(own.without));
+        let with = format!("{} {:.0} %", bar(wrong(own.with) / most, CELLS), 100.0 * wrong(own.with));
+        text += &format!("{name:<10} {without}\n{:<10} {with}\n", "");
+    }
+    text
 }
 
 /// The width of the table with the bars.
@@ -278,13 +296,13 @@ const NARROW: usize = 60;
 fn heading(is_wide: bool) -> String {
     if is_wide {
         return format!(
-            "{:<10} | without: loss  right | with: loss  right | {:<BAR_WIDTH$} learned | set for 90 %: places  held",
+            "{:<10} | without: loss  right | with: loss  right | {:<BAR_WIDTH$} learned | room set: rooms  right",
             "", "right, with habits"
         );
     }
     format!(
-        "{:<9}  {:<12}  {:<12}  {:7}  set for 90 %\n{:<9}  {:>5} {:>6}  {:>5} {:>6}  learned  {:>4} {:>6}",
-        "", "without", "with", "", "", "nats", "right", "nats", "right", "size", "held"
+        "{:<9}  {:<12}  {:<12}  {:7}  room set\n{:<9}  {:>5} {:>6}  {:>5} {:>6}  learned  {:>4} {:>6}",
+        "", "without", "with", "", "", "loss", "right", "loss", "right", "size", "right"
     )
 }
 

@@ -18,6 +18,7 @@ use finding::{Finding, Place, Verdict};
 #[cfg(feature = "mqtt")]
 pub(super) use home_mqtt::{no_person, no_resident, not_quite_a_form, remark};
 
+use super::scene::is_missing;
 use super::{CommandResult, Failure, ranges, service};
 use crate::columns::{columns, wrapped};
 use crate::exit_code;
@@ -357,12 +358,13 @@ pub fn run(args: &Args) -> CommandResult {
     }
     report(args, &findings)?;
     let wrong = findings.iter().filter(|finding| finding.verdict == Verdict::Wrong).count();
+    // A missing map has one exit code in all commands.
+    let is_missing = config.scene.path.as_deref().is_some_and(is_missing);
+    let code = if is_missing { exit_code::INPUT } else { exit_code::CHECK };
     match wrong {
         0 => Ok(()),
-        1 => Err(Failure::new(exit_code::CHECK, "one check failed; its remedy stands beside it")),
-        wrong => {
-            Err(Failure::new(exit_code::CHECK, format!("{wrong} checks failed; their remedies stand beside them")))
-        }
+        1 => Err(Failure::new(code, "one check failed; the report has the remedy")),
+        wrong => Err(Failure::new(code, format!("{wrong} checks failed; the report has the remedies"))),
     }
 }
 

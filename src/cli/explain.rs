@@ -7,22 +7,14 @@ use std::time::Duration;
 
 use roomcast_ipc::question;
 
-use super::{CommandResult, Failure, count, draw, ranges, record, score, service};
+use super::{CommandResult, Failure, draw, ranges, score, service};
 use crate::exit_code;
 use crate::reasons::{called, why_text};
 use roomcast_core::explanation::{Explanation, PartitionReason};
-use roomcast_core::grounding::Grounding;
-use roomcast_core::ids::{BootNs, PersonId};
-use roomcast_core::narration::history::HistoryLimits;
-use roomcast_core::narration::{Event, Observation};
-use roomcast_core::pipeline::{Pipeline, PipelineOptions};
-use roomcast_core::scorer::LanguageModel;
-use roomcast_core::scorer::correction::CorrectionChoice;
-use roomcast_core::semantic_map::SemanticMap;
+use roomcast_core::ids::PersonId;
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion, Whereabouts};
 use roomcast_services::moment::{Explained, Moment};
-use roomcast_services::recording::RecordedMoment;
-use roomcast_services::setup;
+use roomcast_services::recording::{self, RecordedMoment, Wanted};
 use roomcast_simulation::drawing::{self, Heat};
 
 /// Options that affect only the scores of a given narration. They exclude `--recording`, which `--at` and `--sequence` require. clap drops a
@@ -52,8 +44,8 @@ pub struct Args {
     /// Explain the newest scores of the running system, from its daemon.
     #[arg(long, conflicts_with = "recording", conflicts_with_all = OF_A_NARRATION, conflicts_with_all = OF_A_MODEL)]
     live: bool,
-    /// Explain scores of a recording of `roomcast record`: they are computed again and compared.
-    #[arg(long, value_name = "FILE", conflicts_with_all = OF_A_NARRATION)]
+    /// Explain scores of a recording of `roomcast record`.
+    #[arg(long, value_name = "FILE", conflicts_with_all = OF_A_NARRATION, conflicts_with_all = OF_A_MODEL)]
     recording: Option<PathBuf>,
     /// The moment, in seconds from the recording's beginning: the last scores before it. Without it, the last scores of all.
     #[arg(long, value_name = "SECONDS", requires = "recording", conflicts_with_all = ["sequence", "live"], conflicts_with_all = OF_A_NARRATION, value_parser = ranges::time_s)]
@@ -228,82 +220,20 @@ fn draw_plan(explained: &Explained, path: &Path) -> CommandResult {
     draw::write_drawing(path, svg, 2.0)
 }
 
-/// Computes the scores of a recorded moment again, and compares them with the recorded ones.
 fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
-    let input = |error: String| Failure::new(exit_code::INPUT, error);
-    let recording = record::read(path)?;
-    let shown = path.display();
-    let RecordedMoment { scores, at_s, base, narration, silent, names, habits } =
-        recording.moment(args.sequence, args.at).ok_or_else(|| {
-            input(format!(
-                "the recording {shown} has no such scores; without --at and --sequence the last ones are explained"
-            ))
-        })?;
-    let base = base.map(|index| &recording.moments[index]);
-    if base.is_some() && args.score.says_binding_or_partitions() {
-        let text = format!(
-            "{shown} says the binding sequence and the partitions itself: leave out --binding, --level and --no-room-labels"
-        );
-        return Err(Failure::new(exit_code::USAGE, text));
-    }
-    let (scene, model, options) = args.score.scene_and_model();
-    let map = match (scene, base) {
-        (None, Some(moment)) => {
-            SemanticMap::from_json(&moment.scene.to_string()).map_err(|error| input(error.to_string()))?
-        }
-        (scene, _) => setup::load_map(scene)?,
+    let wanted = match (args.sequence, args.at) {
+        (Some(sequence), _) => Wanted::Sequence(sequence),
+        (None, Some(at_s)) => Wanted::At(at_s),
+        (None, None) => Wanted::Last,
     };
-    let wanted = (hex::encode(scores.map_fingerprint), hex::encode(scores.model_fingerprint));
-    if hex::encode(map.fingerprint()) != wanted.0 {
-        let (name, wanted) = (map.name(), &wanted.0);
-        return Err(input(format!(
-            "the recorded scores are of a map with the fingerprint {wanted}, {name} is another one; give --scene FILE"
-        )));
-    }
-    let model = roomcast_cli::model::load(model, &options)?;
-    if hex::encode(model.info().fingerprint) != wanted.1 {
-        let (name, wanted) = (&model.info().name, &wanted.1);
-        return Err(Failure::new(
-            exit_code::MODEL,
-            format!(
-                "the recorded scores are of a model with the SHA-256 {wanted}, {name} is another one; give --model FILE"
-            ),
-        ));
-    }
-    let grounding = base.map_or_else(|| args.score.grounding(), |moment| moment.grounding);
-    let binding = base.map_or_else(|| Ok(args.score.binding()), Moment::binding);
-    let binding = binding.map_err(|error| input(error.to_string()))?;
-    let grounded = Grounding::new(&map, &grounding).map_err(|error| input(error.to_string()))?;
-    // The given narration is the window: none of it may be cut.
-    let history = HistoryLimits { observations: narration.len().max(1), slack: 0, tokens: usize::MAX, gap_s: 0 };
-    let correction = base.map_or_else(CorrectionChoice::default, |moment| CorrectionChoice::exactly(moment.correction));
-    let tokenisation = base.map_or_else(Default::default, |moment| moment.tokenisation);
-    let options = PipelineOptions { binding, history, correction, tokenisation, ..PipelineOptions::default() };
-    let failed = |error| Failure::new(exit_code::MODEL, error);
-    let mut pipeline = Pipeline::new(model, grounded, options).map_err(failed)?;
-    let window = narration.len() as u64;
-    let presence = |is_here: bool| if is_here { Event::Present(None) } else { Event::Away };
-    let silent = silent.iter().map(|&(person, is_here)| (person, presence(is_here)));
-    let events = silent.chain(narration.into_iter().map(|(person, sentence)| (person, Event::Did(sentence))));
-    let observations = (1..).zip(events).map(|(sequence, (person, event))| Observation {
-        person,
-        source: 1,
-        epoch: 1,
-        observed_ns: BootNs(sequence),
-        ..Observation::saying(sequence, event)
-    });
-    pipeline.step(observations).map_err(failed)?;
-    let again = &pipeline.scores().grounded.partition_probability;
-    let difference = (scores.rooms().iter().zip(again))
-        .map(|(room, probability)| (room.probability - probability).abs())
-        .fold(0.0, f64::max);
-    let mut note = format!(
-        "Scores {} at {at_s:.3} s of {shown}, computed again: the recorded probabilities differ by at most {difference:.1e}.",
-        scores.sequence
-    );
-    if window != scores.window {
-        let _ =
-            write!(note, "\nThey contain {}; the recording has {window}.", count(scores.window as usize, "narration"));
-    }
-    Ok((Moment { names, habits, ..Moment::of(&pipeline, &map, &grounding, Some(&scores)) }, note))
+    let input = |text: String| Failure::new(exit_code::INPUT, text);
+    let shown = path.display();
+    let found = recording::moment(path, wanted).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    let RecordedMoment { at_s, moment } = found.ok_or_else(|| {
+        input(format!(
+            "the recording {shown} has no snapshot of these scores; without --at and --sequence the last one is explained"
+        ))
+    })?;
+    let note = format!("Scores {} of the daemon {}, {at_s:.3} s into {shown}.", moment.sequence, moment.epoch);
+    Ok((moment, note))
 }

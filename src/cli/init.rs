@@ -28,8 +28,8 @@ use join::{in_rooms_of, inside, rules_in, with_things};
 
 use super::choice::choice;
 use super::home_source::{HomeOptions, check_rules, home_assistant, is_url};
-use super::scene::Furnish;
 use super::scene_files::{in_file, in_map, input, read, segment_names, write};
+use super::scene_import::Furnish;
 use super::{CommandResult, Failure, count, print};
 use crate::exit_code;
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Command, CommandFactory};
 
-use super::{Cli, CommandResult, Failure};
+use super::{Cli, CommandResult, Failure, help};
 use crate::exit_code;
 
 #[derive(Debug, clap::Args)]
@@ -16,7 +16,7 @@ pub struct Args {
 
 pub fn run(args: &Args) -> CommandResult {
     let folder = &args.folder;
-    let mut command = Cli::command().disable_help_subcommand(true);
+    let mut command = help::arranged(Cli::command()).disable_help_subcommand(true);
     command.build();
     let source = command.get_version().map_or_else(String::new, |version| format!("roomcast {version}"));
     std::fs::create_dir_all(folder).and_then(|()| write(&command, &source, folder)).map_err(|error| {

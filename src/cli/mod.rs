@@ -9,9 +9,10 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use roomcast_cli::{
     CommandResult, Failure, choice, count, ended, print, print_json, print_json_line, print_styled, ranges,
 };
-use roomcast_cli::{table, take_negative_numbers, tell};
+use roomcast_cli::{table, tell};
 
 use crate::exit_code;
+use roomcast_services::logging;
 
 #[cfg(feature = "mqtt")]
 mod broker;
@@ -24,6 +25,8 @@ mod demo;
 #[cfg(feature = "demo")]
 mod demo_robot;
 #[cfg(feature = "demo")]
+mod demo_story;
+#[cfg(feature = "demo")]
 mod demo_week;
 mod doctor;
 #[cfg(feature = "simulation")]
@@ -31,6 +34,7 @@ mod draw;
 #[cfg(all(feature = "simulation", feature = "recordings"))]
 mod explain;
 mod habits;
+mod help;
 mod home_source;
 #[cfg(feature = "home")]
 mod init;
@@ -60,6 +64,7 @@ mod requirements;
 mod robot;
 mod scene;
 mod scene_files;
+mod scene_import;
 mod score;
 mod service;
 mod stage;
@@ -69,17 +74,27 @@ mod top;
 mod view;
 
 const CODES_AND_LOGS: &str = "\
-Exit codes: 0 all went well; 1 anything else failed; 2 usage; 3 input (scene, program, narration, recording); 4 configuration; 5 model; \
-6 shared memory, a service or another daemon; 7 a check found faults; 130 interrupted before the work was done. A service that a signal \
-asks to stop ends with 0.
+Exit codes:
+  0    success, also of a service that a signal stops
+  1    any other failure
+  2    wrong usage
+  3    bad input: map, program, narration, recording
+  4    bad configuration
+  5    the model cannot be loaded or used
+  6    shared memory, a service or another daemon
+  7    a check found faults
+  130  interrupted before the work was done
 
-Services log to the journal under systemd, else to standard error. ROOMCAST_LOG says what is told: warn, info (the default), or \
-info,roomcast=debug for a line per step.";
+Services log to the journal under systemd, otherwise to standard error. ROOMCAST_LOG sets the level: \
+warn, info (default), or info,roomcast=debug, as --verbose does.";
 
-/// Predicts which rooms people will be in next, so that a robot works somewhere else.
+/// Forecasts which rooms people will be in, so that a robot works in others.
 #[derive(Debug, Parser)]
-#[command(name = "roomcast", version, propagate_version = true, after_help = CODES_AND_LOGS)]
+#[command(name = "roomcast", version, propagate_version = true, after_long_help = CODES_AND_LOGS)]
 pub struct Cli {
+    /// Log each step.
+    #[arg(short, long, global = true, display_order = 900)]
+    verbose: bool,
     #[command(subcommand)]
     command: Command,
 }
@@ -93,69 +108,99 @@ enum Command {
     /// Print a completion script for a shell.
     #[cfg(feature = "manuals")]
     Completions(completions::Args),
-    /// Print the commented default configuration, or check one.
+    /// Print every key with its default, or check a file.
     Config(config::Args),
-    /// Score the rooms: the service between narrators and planners.
+    /// Forecast where people will be (a service).
+    ///
+    /// It takes events from narrators, keeps what it knows about persons and habits, and sends scores and forecasts.
     Daemon(daemon::Args),
-    /// Show the whole system at work on this machine.
+    /// Play a morning with a person and a robot.
+    ///
+    /// All parts run on this machine, apart from a running system.
     #[cfg(feature = "demo")]
     Demo(demo::Args),
-    /// Say whether this machine can run Roomcast, and how well; with --config, check a home's set-up.
+    /// Check this machine, and a home with --config.
+    ///
+    /// Each fault has a remedy. With --config: map, rules, broker, robot and services.
     Doctor(doctor::Args),
     /// Now a command of the program `roomcast-lab`.
     #[command(hide = true, disable_help_flag = true)]
     Experiment(Moved),
-    /// Explain the scores of one moment: rooms, labels, tokens, items and the narration behind them.
+    /// Show why the scores are as they are.
+    ///
+    /// Rooms, labels, tokens and items of one moment, with the narration behind them.
     #[cfg(all(feature = "simulation", feature = "recordings"))]
     Explain(explain::Args),
-    /// Show the habits that a running daemon has learned, let it learn from earlier narration, forget them, export and import them.
+    /// Show, teach, forget, export or import habits.
+    ///
+    /// Habits are what a running daemon has learned about this home.
     Habits(habits::Args),
-    /// Set up a home: its map, rules and configuration from Home Assistant and a robot vacuum; asks for missing values.
+    /// Make a home's map, rules and configuration.
+    ///
+    /// It reads Home Assistant and a robot vacuum, and asks for missing values.
     #[cfg(feature = "home")]
     Init(init::Args),
-    /// Measure how long events take to become scores and decisions, between real processes.
+    /// Measure the time from an event to a decision.
+    ///
+    /// The parts run as processes, as in a home.
     #[cfg(feature = "latency")]
     Latency(latency::Args),
     /// The other end of a measurement of `latency`, which starts it.
     #[command(hide = true)]
     #[cfg(feature = "latency")]
     LatencyEnd(latency::EndArgs),
-    /// Write the manual pages of all commands.
+    /// Write the manual pages.
     #[cfg(feature = "manuals")]
     Man(man::Args),
-    /// Serve metrics of a running system for Prometheus, on a loopback address.
+    /// Serve metrics for Prometheus (a service).
+    ///
+    /// Only on a loopback address.
     #[cfg(feature = "metrics")]
     Metrics(metrics::Args),
-    /// Inspect, check and fetch language models.
+    /// Inspect, check or download a language model.
     Model(model::Args),
-    /// Publish what a person does: activity programs, JSON lines, plain sentences, sensor logs, or what devices say over MQTT.
+    /// Report events of people and sensors.
+    ///
+    /// Activity programs, JSON lines, plain sentences, sensor logs, or messages of devices over MQTT.
     Narrate(narrate::Args),
-    /// List the persons that a running daemon knows, correct the belief about a person, rename or forget a person.
+    /// List, correct, rename or forget persons.
     Person(person::Args),
-    /// Decide where the robot goes: the service that applies a policy to the scores.
+    /// Decide where the robot goes (a service).
+    ///
+    /// It applies a policy and the rules of the home to the forecast.
     Planner(planner::Args),
-    /// Publish what Roomcast knows over MQTT, for Home Assistant and others.
+    /// Publish rooms, persons and decisions over MQTT.
+    ///
+    /// For Home Assistant and others.
     #[cfg(feature = "publish")]
     Publish(publish::Args),
-    /// Record everything on the services into an MCAP file.
+    /// Record all messages into an MCAP file.
     #[cfg(feature = "recordings")]
     Record(record::Args),
-    /// Replay a recording, bit for bit, at any speed.
+    /// Play a recording again, at any speed.
     #[cfg(feature = "recordings")]
     Replay(replay::Args),
-    /// Tell a robot's planner what the robot does: started, finished, failed, blocked, cancelled, docked, position, battery.
+    /// Send a robot's report or a person's order.
+    ///
+    /// Started, finished, failed, blocked, cancelled, docked, position, battery; hold, resume, clean, skip.
     Report(report::Args),
-    /// Drive a robot vacuum by the planner's decisions: Valetudo, or what Home Assistant has. Only says what it would do, until --obey.
+    /// Drive a robot vacuum; a dry run until --obey.
+    ///
+    /// A vacuum with Valetudo, or one that Home Assistant has.
     #[cfg(feature = "robot")]
     Robot(robot::Args),
-    /// Import, check, change, show and draw semantic maps.
+    /// Import, check, change, show or draw a map.
     Scene(scene::Args),
-    /// Score every label, item and partition of a scene once.
+    /// Score rooms and things after some sentences.
     Score(score::Args),
-    /// Watch a running system: rooms over time, narration, likely objects, decisions, health.
+    /// Watch the running system in a terminal.
+    ///
+    /// Rooms over time, narration, likely objects, decisions, health.
     #[cfg(feature = "top")]
     Top(top::Args),
-    /// Show the plan in a browser: where persons are and will be, and what the robot does, now or in a recording.
+    /// Watch it in a browser, live or recorded.
+    ///
+    /// The plan, where persons are and will be, and what the robot does.
     #[cfg(feature = "view")]
     View(view::Args),
 }
@@ -192,14 +237,21 @@ impl Command {
 }
 
 fn commands() -> clap::Command {
-    take_negative_numbers(Cli::command())
+    help::arranged(Cli::command())
 }
 
 /// Parses the command line, runs it and returns the exit code. Prints an error once, on standard error.
 #[must_use]
 pub fn main() -> ExitCode {
+    let _log;
     let command = match Cli::from_arg_matches(&commands().get_matches()) {
-        Ok(cli) => cli.command,
+        Ok(cli) => {
+            if cli.verbose {
+                logging::verbose();
+            }
+            _log = (cli.verbose && cli.command.only_prints()).then(logging::init);
+            cli.command
+        }
         Err(error) => error.format(&mut commands()).exit(),
     };
     roomcast_ipc::end_where_iceoryx2_panics("roomcast", exit_code::IPC);

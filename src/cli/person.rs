@@ -10,9 +10,9 @@ use crate::exit_code;
 use crate::flags::plain;
 use roomcast_core::narration::line::WhoError;
 use roomcast_core::narration::{Event, ReadName, check_name};
-use roomcast_core::text::{odd_name, visible};
+use roomcast_core::text::{did_you_mean, odd_name, visible};
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion};
-use roomcast_services::narrator::{self, Input, Item, Pace, Who};
+use roomcast_services::narrator::{self, CORRECTIONS, Input, Item, Pace, Who};
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -107,8 +107,6 @@ pub fn run(args: &Args) -> CommandResult {
     print(&format!("{}{after_restart}", listed(&answer)))
 }
 
-const CORRECTIONS: &str = "roomcast-person";
-
 /// Sends a presence and prints how the daemon understood it.
 fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     let usage = |error: String| Failure::new(exit_code::USAGE, error);
@@ -129,8 +127,9 @@ fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
         .chain(config.persons.residents.clone());
     let asked = ReadName::new(who);
     if !nameable.any(|name| name == who || asked.may_be_one(&ReadName::new(&name))) {
+        let meant = did_you_mean(who, names.iter().map(String::as_str));
         let names = if names.is_empty() { "no person yet".to_owned() } else { names.join(", ") };
-        return Err(Failure::new(exit_code::INPUT, format!("no person {who:?}: the daemon knows {names}")));
+        return Err(Failure::new(exit_code::INPUT, format!("no person {who:?}: the daemon knows {names}{meant}")));
     }
     let item = Item::new(narration_kind::PRESENCE, text, person);
     let stop = service::stop()?;

@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crossbeam::channel::bounded;
+use crossbeam::channel::{Receiver, Sender, bounded};
 use roomcast_core::ids::BootNs;
 use roomcast_ipc::raw::{
     DecisionV1, ForecastV1, IncludedV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
     RoomScoresV1, score_flags,
 };
-use roomcast_ipc::{Subscriber, limits, question};
+use roomcast_ipc::{Node, Subscriber, limits, question};
 use roomcast_services::clock;
 
 use super::choice::choice;
@@ -47,10 +47,11 @@ const POLL: Duration = Duration::from_millis(2);
 const FLUSH: Duration = Duration::from_secs(5);
 /// Forecasts of the same scores are recorded once a minute. All of them would be 5 GiB a day.
 const FORECAST_NS: u64 = 60_000_000_000;
-/// Timeout of the daemon's map.
+/// Timeout of the daemon's answer, and of the last one.
 const PATIENCE: Duration = Duration::from_secs(5);
+const LAST: Duration = Duration::from_secs(2);
 
-/// Period of the warning that the daemon's map is missing.
+/// Period of the warning that answers are missing.
 const COMPLAINT_NS: u64 = 60_000_000_000;
 
 /// Reads a recording; says so if its recorder did not finish it.
@@ -102,7 +103,7 @@ impl Output {
 
     fn tell(&mut self, moment: &Moment, received: Received) -> Result<(), RecordingError> {
         match self {
-            Self::Roomcast(recorder) => recorder.attach(moment, received),
+            Self::Roomcast(recorder) => recorder.keep(moment, received),
             Self::Ros2(recorder) => recorder.tell(moment),
         }
     }
@@ -121,40 +122,74 @@ impl Output {
             Self::Ros2(recorder) => recorder.finish().map(|()| recorder.written()),
         }
     }
+}
 
-    /// The consequence of a missing map.
-    fn without_map(&self) -> &'static str {
-        match self {
-            Self::Roomcast(_) => {
-                "the daemon did not tell its map, and is asked again; until it does, explaining this recording needs the scene file"
+/// Asks the daemon for the data behind its newest scores. A thread asks, so that no message is missed.
+struct Moments {
+    ask: Sender<()>,
+    told: Receiver<Result<Moment, String>>,
+    /// The newest scores, the scores that were asked for, and those of the last answer.
+    newest: Option<Name>,
+    asked: Option<Name>,
+    known: Option<Name>,
+    log: Limiter,
+}
+
+impl Moments {
+    fn start(node: &Node) -> Result<Self, Failure> {
+        let port = node.question_port(question::MOMENT).map_err(|error| Failure::new(exit_code::IPC, error))?;
+        let (ask, asked) = bounded(1);
+        let (tell, told) = bounded(1);
+        let asking = move || {
+            while asked.recv().is_ok() {
+                let moment = port.ask("{}", PATIENCE).map_err(|error| error.to_string());
+                let moment = moment.and_then(|text| Moment::from_json(&text).map_err(|error| error.to_string()));
+                if tell.send(moment).is_err() {
+                    break;
+                }
             }
-            Self::Ros2(_) => {
-                "the daemon did not tell its map, and is asked again; until it does, the recording has no markers of its rooms"
+        };
+        std::thread::Builder::new().name("moments".to_owned()).spawn(asking).map_err(|error| {
+            let text = format!("cannot start the thread that asks the daemon: {error}; {}", limits::on_threads());
+            Failure::new(exit_code::FAILURE, text)
+        })?;
+        Ok(Self { ask, told, newest: None, asked: None, known: None, log: Limiter::new(COMPLAINT_NS) })
+    }
+
+    /// Asks about the newest scores, one question at a time. Returns whether an answer is missing.
+    fn ask(&mut self) -> bool {
+        if self.asked.is_none() && self.newest != self.known && self.ask.try_send(()).is_ok() {
+            self.asked = self.newest;
+        }
+        self.asked.is_some()
+    }
+
+    /// The answer, if it comes in time.
+    fn hear(&mut self, patience: Duration) -> Option<Moment> {
+        let answer = self.told.recv_timeout(patience).ok()?;
+        let asked = self.asked.take();
+        match answer {
+            Ok(moment) => {
+                let epoch = u64::from_str_radix(&moment.epoch, 16).unwrap_or_default();
+                self.known = Some((epoch, moment.sequence));
+                // The daemon is ahead of its messages. Steps in between have no moment of their own.
+                if self.newest.is_some_and(|newest| newest.0 == epoch && newest.1 < moment.sequence) {
+                    self.newest = self.known;
+                }
+                Some(moment)
+            }
+            Err(error) => {
+                self.known = asked;
+                if let Some(not_told) = self.log.pass(clock::monotonic_ns()) {
+                    tracing::warn!(
+                        error,
+                        not_told,
+                        "the daemon gave no data behind its scores: they cannot be explained"
+                    );
+                }
+                None
             }
         }
-    }
-}
-
-/// A daemon's start and its map.
-type Map = (u64, [u8; 32]);
-
-/// The recorded map, and the map that the daemon was asked for.
-#[derive(Debug, Default)]
-struct MapAsked {
-    known: Option<Map>,
-    asked: Option<Map>,
-}
-
-impl MapAsked {
-    /// Whether to ask the daemon for this map: one question at a time.
-    fn is_wanted(&self, map: Map) -> bool {
-        self.asked.is_none() && self.known != Some(map)
-    }
-
-    /// Records whether the daemon has sent its map. If not, it is asked again.
-    fn hear(&mut self, has_told: bool) {
-        let asked = self.asked.take();
-        self.known = if has_told { asked } else { self.known };
     }
 }
 
@@ -244,25 +279,7 @@ pub fn run(args: &Args) -> CommandResult {
         Failure::new(code, error)
     };
     let mut recorder = Output::create(args, &config.planner.robot).map_err(output)?;
-    // A thread asks the daemon, so that no message is missed.
-    let port = node.question_port(question::MOMENT).map_err(ipc)?;
-    let (ask, asked) = bounded(1);
-    let (tell, told) = bounded(1);
-    let asking = std::thread::Builder::new().name("map".to_owned());
-    let asking = asking.spawn(move || {
-        while asked.recv().is_ok() {
-            let moment = port.ask("{}", PATIENCE).map_err(|error| error.to_string());
-            let moment = moment.and_then(|text| Moment::from_json(&text).map_err(|error| error.to_string()));
-            if tell.send(moment).is_err() {
-                break;
-            }
-        }
-    });
-    asking.map_err(|error| {
-        let text = format!("cannot start the thread that asks for the map: {error}; {}", limits::on_threads());
-        Failure::new(exit_code::FAILURE, text)
-    })?;
-    let (mut map, mut log) = (MapAsked::default(), Limiter::new(COMPLAINT_NS));
+    let mut moments = Moments::start(&node)?;
     let mut known = Known::default();
     let (started, mut flushed) = (Instant::now(), Instant::now());
     let mut is_silent = true;
@@ -292,26 +309,15 @@ pub fn run(args: &Args) -> CommandResult {
             }
         }
         for message in &news {
-            // A new daemon or map: the map goes into the file too.
-            if let Recorded::RoomScores(scores) = message
-                && map.is_wanted((scores.epoch, scores.map_fingerprint))
-                && ask.try_send(()).is_ok()
-            {
-                map.asked = Some((scores.epoch, scores.map_fingerprint));
+            if let Recorded::RoomScores(scores) = message {
+                moments.newest = Some((scores.epoch, scores.sequence));
             }
         }
-        match told.try_recv() {
-            Ok(Ok(moment)) => {
-                map.hear(true);
-                recorder.tell(&moment, received).map_err(output)?;
-            }
-            Ok(Err(error)) => {
-                map.hear(false);
-                if let Some(not_told) = log.pass(clock::monotonic_ns()) {
-                    tracing::warn!(error, not_told, "{}", recorder.without_map());
-                }
-            }
-            Err(_) => {}
+        // At the end the last answer is waited for.
+        let patience = if ends { LAST } else { Duration::ZERO };
+        while moments.ask() {
+            let Some(moment) = moments.hear(patience) else { break };
+            recorder.tell(&moment, received).map_err(output)?;
         }
         if flushed.elapsed() > FLUSH {
             recorder.flush().map_err(output)?;
@@ -379,22 +385,5 @@ mod tests {
             }
         }
         assert_eq!(kept, [[0, 60, 100, 120, 180], [0, 60, 100, 120, 180]]);
-    }
-
-    #[test]
-    fn a_daemon_that_had_no_time_is_asked_again_for_its_map() {
-        let (first, second) = ((1, [1; 32]), (1, [2; 32]));
-        let mut map = MapAsked::default();
-        assert!(map.is_wanted(first));
-        map.asked = Some(first);
-        assert!(!map.is_wanted(first) && !map.is_wanted(second), "one question at a time");
-        map.hear(false);
-        assert!(map.is_wanted(first));
-        map.asked = Some(first);
-        map.hear(true);
-        assert!(!map.is_wanted(first) && map.is_wanted(second));
-        map.asked = Some(second);
-        map.hear(false);
-        assert!(!map.is_wanted(first) && map.is_wanted(second), "what is known stays");
     }
 }

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use roomcast_core::grounding::{Partition, PartitionLevel, partitions};
 use roomcast_core::semantic_map::SemanticMap;
+use roomcast_core::text::did_you_mean;
 use roomcast_ipc::raw::{DecisionV1, RobotReportV1, RoomScoresV1, RoomV1};
 use roomcast_ipc::{IpcError, Node, Publisher, Subscriber, sequence};
 use roomcast_services::clock;
@@ -335,7 +336,7 @@ fn no_room(room: &str, known: &str, is_other_map: bool) -> String {
         }
         false => "",
     };
-    format!("no room is called `{room}`: the rooms are {known}{remedy}")
+    format!("no room is called `{room}`: the rooms are {known}{}{remedy}", did_you_mean(room, known.split(", ")))
 }
 
 /// Standard input, line by line, from a thread that waits for it.

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use clap::{Subcommand, ValueEnum};
+use clap::Subcommand;
 use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
 use roomcast_ipc::question;
 use serde_json::{Value, json};
@@ -12,16 +12,15 @@ use serde_json::{Value, json};
 use super::choice::choice;
 #[cfg(feature = "simulation")]
 use super::draw;
-use super::home_source::{HomeOptions, home_assistant, write_rules};
-use super::scene_files::{in_file, in_map, input, load, read, segment_names, write};
-use super::{CommandResult, Failure, count, print, ranges, service};
+use super::scene_files::{in_file, input, load, read, write};
+use super::{CommandResult, Failure, count, print, ranges, scene_import, service};
 use crate::columns::prose;
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
 use roomcast_core::semantic_map::delta;
-use roomcast_core::semantic_map::import::{self, ImportError, Imported, Registries, Up};
 use roomcast_core::semantic_map::{ItemId, PartitionId, Room, RoomId, SemanticMap, Space};
 use roomcast_services::daemon::{MapAnswer, MapQuestion, Outcome};
+use roomcast_services::setup::{self, SetupError};
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -32,7 +31,7 @@ pub struct Args {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Turn a map of another format into a scene.
-    Import(Import),
+    Import(scene_import::Args),
     /// Check scenes: the format, and whether every item is in a room and every room can be reached.
     Check(Check),
     /// Apply changes to a scene file: items added, moved, removed; rooms added, removed.
@@ -44,79 +43,6 @@ enum Command {
     /// Draw a scene from above, with scores as heat, as SVG or PNG.
     #[cfg(feature = "simulation")]
     Draw(draw::Args),
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// A VirtualHome environment graph.
-    Virtualhome,
-    /// Objects with captions and boxes, rooms with boxes or polygons, as ConceptGraphs and HOV-SG export them.
-    OpenVocabulary,
-    /// A vacuum robot's map, as Valetudo exports it: segments become rooms.
-    Valetudo,
-    /// A Home Assistant, by its configuration folder or its address: areas become rooms, entities things; a rules file comes with the map.
-    HomeAssistant,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub(super) enum Furnish {
-    /// The usual furniture of their kind in rooms without things. Structural things, such as walls and windows, do not count.
-    Typical,
-    /// The same, and the missing pieces in rooms with only one or two kinds of things.
-    Sparse,
-}
-
-impl Furnish {
-    pub(super) fn furnish(self, imported: Imported) -> Result<Imported, ImportError> {
-        match self {
-            Self::Typical => imported.furnished(),
-            Self::Sparse => imported.furnished_where_sparse(),
-        }
-    }
-}
-
-#[derive(Debug, clap::Args)]
-struct Import {
-    /// The map to read; for open-vocabulary maps several files that belong together, or a folder of them; for a Home Assistant its configuration
-    /// folder, or its address (http://HOST:8123) with --token-file.
-    #[arg(required = true)]
-    graph: Vec<PathBuf>,
-    /// The scene to write.
-    #[arg(long)]
-    out: PathBuf,
-    /// The format of the map.
-    #[arg(long, value_enum, default_value_t = Format::Virtualhome)]
-    format: Format,
-    /// The scene's name; by default the map file's name.
-    #[arg(long)]
-    name: Option<String>,
-    /// VirtualHome's table of equivalent class names; adds aliases.
-    #[arg(long, value_name = "FILE")]
-    equivalence: Option<PathBuf>,
-    /// The axis of an open-vocabulary map that points up, if the map does not say.
-    #[arg(long, value_parser = choice::<Up>(), default_value_t)]
-    up: Up,
-    /// Keep labels of an open-vocabulary map that differ only in spelling or number ("mugs", "coffeemaker").
-    #[arg(long)]
-    keep_spellings: bool,
-    /// Names for the segments of a Valetudo map: a TOML file with a line such as `11 = "kitchen"` each.
-    #[arg(long, value_name = "FILE")]
-    names: Option<PathBuf>,
-    /// The file for the rules from a Home Assistant's map; by default beside the map, as `NAME.rules.toml`. An existing file stays.
-    #[arg(long, value_name = "FILE")]
-    rules: Option<PathBuf>,
-    /// An area of Home Assistant that becomes no room, by its name or id; once for each.
-    #[arg(long, value_name = "AREA")]
-    leave_out: Vec<String>,
-    /// A file with a long-lived access token of the Home Assistant at an address; only its owner may be able to read it.
-    #[arg(long, value_name = "FILE")]
-    token_file: Option<PathBuf>,
-    /// A PEM file with the certificates of the Home Assistant's certificate authority, for an https address.
-    #[arg(long, value_name = "FILE", requires = "token_file")]
-    ca: Option<PathBuf>,
-    /// Put the usual furniture of their kind into rooms; ids of such things begin with "assumed".
-    #[arg(long, value_enum)]
-    furnish: Option<Furnish>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -178,7 +104,7 @@ struct Show {
 /// [`exit_code::INPUT`] for an unusable map, [`exit_code::CHECK`] for a check with faults.
 pub fn run(args: &Args) -> CommandResult {
     match &args.command {
-        Command::Import(args) => import(args),
+        Command::Import(args) => scene_import::run(args),
         Command::Check(args) => check(args),
         Command::Change(args) => change(args),
         Command::Apply(args) => apply(args),
@@ -186,118 +112,6 @@ pub fn run(args: &Args) -> CommandResult {
         #[cfg(feature = "simulation")]
         Command::Draw(args) => draw::run(args),
     }
-}
-
-impl Import {
-    /// Refuses options that the format does not use: they would be ignored silently.
-    fn refuse_without_effect(&self) -> CommandResult {
-        let options = [
-            (self.equivalence.is_some(), "--equivalence", "has VirtualHome's names", Format::Virtualhome),
-            (self.up != Up::default(), "--up", "is of an open-vocabulary map", Format::OpenVocabulary),
-            (self.keep_spellings, "--keep-spellings", "is of an open-vocabulary map", Format::OpenVocabulary),
-            (self.names.is_some(), "--names", "names the segments of a Valetudo map", Format::Valetudo),
-            (self.rules.is_some(), "--rules", "come with a Home Assistant's map", Format::HomeAssistant),
-            (!self.leave_out.is_empty(), "--leave-out", "names an area of Home Assistant", Format::HomeAssistant),
-            (self.token_file.is_some(), "--token-file", "is for a Home Assistant's address", Format::HomeAssistant),
-        ];
-        let Some((_, option, why, of)) = options.iter().find(|(given, .., of)| *given && *of != self.format) else {
-            return Ok(());
-        };
-        let of = of.to_possible_value();
-        let of = of.as_ref().map_or("", |value| value.get_name());
-        Err(Failure::new(exit_code::USAGE, format!("{option} {why}; give --format {of}, or leave it out")))
-    }
-}
-
-fn import(args: &Import) -> CommandResult {
-    args.refuse_without_effect()?;
-    let first = &args.graph[0];
-    let equivalence = args.equivalence.as_deref().map(|path| read("table of names", path)).transpose()?;
-    let stem = first.file_stem().map(|stem| stem.to_string_lossy().into_owned());
-    let name = args.name.clone().or(stem).unwrap_or_else(|| "imported".to_owned());
-    let in_first = |error| in_file("map", first, &error);
-    let mut rules = None;
-    let imported = match args.format {
-        Format::Virtualhome => {
-            let [graph] = &args.graph[..] else {
-                return Err(Failure::new(exit_code::USAGE, "a VirtualHome graph is one file; give exactly one"));
-            };
-            let json = read("map", graph)?;
-            import::virtualhome(&json, &name, equivalence.as_deref()).map_err(in_first)?
-        }
-        Format::OpenVocabulary => {
-            let mut texts = Vec::new();
-            for path in map_files(&args.graph)? {
-                texts.push(read("map", &path)?);
-            }
-            let json = import::combine(texts.iter().map(String::as_str)).map_err(in_first)?;
-            let imported = import::open_vocabulary(&json, &name, args.up).map_err(in_first)?;
-            if args.keep_spellings { imported } else { imported.merge_spellings().map_err(in_first)? }
-        }
-        Format::Valetudo => {
-            let [graph] = &args.graph[..] else {
-                return Err(Failure::new(exit_code::USAGE, "a Valetudo map is one file; give exactly one"));
-            };
-            let names = match &args.names {
-                Some(path) => segment_names(path)?,
-                None => HashMap::new(),
-            };
-            import::valetudo(&read("map", graph)?, &name, &names)
-                .map_err(|error| in_map(graph, args.names.as_deref(), &error))?
-        }
-        Format::HomeAssistant => {
-            let [folder] = &args.graph[..] else {
-                return Err(Failure::new(
-                    exit_code::USAGE,
-                    "a Home Assistant is one configuration folder or one address; give exactly one",
-                ));
-            };
-            let name = args.name.as_deref().unwrap_or("home");
-            let registries =
-                Registries { leave_out: &args.leave_out, furnished: args.furnish.is_some(), ..Registries::default() };
-            let (token_file, authority) = (args.token_file.as_deref(), args.ca.as_deref());
-            let home = home_assistant(folder, name, HomeOptions { token_file, authority, registries })?;
-            rules = home
-                .rules
-                .map(|text| (args.rules.clone().unwrap_or_else(|| args.out.with_extension("rules.toml")), text));
-            home.imported
-        }
-    };
-    let imported = match args.furnish {
-        Some(furnish) => furnish.furnish(imported).map_err(in_first)?,
-        None => imported,
-    };
-    let Imported { map, notes, boxed } = imported;
-    if !boxed.is_empty() {
-        let rooms: Vec<_> = boxed.iter().map(|room| format!("{room:?}")).collect();
-        super::tell(format_args!(
-            "roomcast: the polygon meets itself or has no area: {}; each of these rooms is the box around its polygon now; look at them with \
-             `roomcast scene draw`",
-            rooms.join(", ")
-        ));
-    }
-    write(&args.out, map.to_json().as_bytes())?;
-    let mut text = format!(
-        "{}: {}, {}, {}, {}\n",
-        args.out.display(),
-        count(map.rooms().len(), "room"),
-        doors(&map),
-        count(map.items().len(), "item"),
-        count(map.labels().len(), "label")
-    );
-    for note in notes {
-        let _ = writeln!(text, "  {note}");
-    }
-    if let Some((path, rules)) = rules {
-        let _ = writeln!(text, "{}", write_rules(&path, &rules)?);
-    }
-    print(&text)
-}
-
-/// "3 doors", and whether they were found where rooms touch.
-fn doors(map: &SemanticMap) -> String {
-    let found = if map.doors_found() && !map.doors().is_empty() { " found where rooms touch" } else { "" };
-    format!("{}{found}", count(map.doors().len(), "door"))
 }
 
 fn change(args: &Change) -> CommandResult {
@@ -369,34 +183,6 @@ fn apply(args: &Apply) -> CommandResult {
         count(*items, "item"),
         *regrouped_in_ns as f64 / 1e6,
     ))
-}
-
-/// The files, sorted by name, with folders replaced by the JSON files in them and in their subfolders.
-fn map_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
-    const DEEPEST: usize = 3;
-    fn collect(path: &Path, depth: usize, files: &mut Vec<PathBuf>) -> std::io::Result<()> {
-        if !path.is_dir() {
-            files.push(path.to_owned());
-            return Ok(());
-        }
-        let mut entries: Vec<PathBuf> =
-            std::fs::read_dir(path)?.map(|entry| entry.map(|entry| entry.path())).collect::<Result<_, _>>()?;
-        entries.sort();
-        for entry in entries {
-            let json = entry.extension().is_some_and(|ending| ending == "json");
-            if json || (depth < DEEPEST && entry.is_dir()) {
-                collect(&entry, depth + 1, files)?;
-            }
-        }
-        Ok(())
-    }
-    let mut files = Vec::new();
-    for path in paths {
-        collect(path, 0, &mut files).map_err(|error| {
-            input(format!("cannot read the folder {}: {error}; check its permissions", path.display()))
-        })?;
-    }
-    Ok(files)
 }
 
 /// Largest distance of a door from the rooms that it joins, in metres: walls have a thickness.
@@ -517,12 +303,13 @@ fn odd_aliases(map: &SemanticMap) -> Vec<String> {
 fn check(args: &Check) -> CommandResult {
     let mut reports = Vec::new();
     let mut text = String::new();
-    let (mut errors, mut warned) = (0, 0);
+    let (mut errors, mut missing, mut warned) = (0, 0, 0);
     for path in &args.scenes {
         let shown = path.display();
         match load(path, PartitionLevel::Room) {
             Err(failure) => {
                 errors += 1;
+                missing += usize::from(is_missing(path));
                 let _ = writeln!(text, "error    {failure}");
                 reports.push(json!({"scene": path, "error": failure.to_string()}));
             }
@@ -555,10 +342,15 @@ fn check(args: &Check) -> CommandResult {
         (0, 0) => Ok(()),
         (0, _) if !args.strict => Ok(()),
         _ => Err(Failure::new(
-            exit_code::CHECK,
+            if missing > 0 { exit_code::INPUT } else { exit_code::CHECK },
             format!("{} with errors, {}", count(errors, "scene"), count(warned, "warning")),
         )),
     }
+}
+
+/// Whether a scene is neither a file nor a shipped one.
+pub(super) fn is_missing(scene: &Path) -> bool {
+    matches!(setup::load_map(Some(scene)), Err(SetupError::NoScene { .. }))
 }
 
 fn placement_name(placement: Placement) -> &'static str {
@@ -636,7 +428,7 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
         let _ = writeln!(text, "{}", prose(line));
     }
     let (items, labels) = (count(map.items().len(), "item"), count(map.labels().len(), "label"));
-    let _ = writeln!(text, "{items}, {labels}, {}\n", doors(map));
+    let _ = writeln!(text, "{items}, {labels}, {}\n", scene_import::doors(map));
 
     let mut partitions = table(["partition", "size (m)", "items", "labels", "most frequent"], 1..4);
     for (index, partition) in (0u32..).zip(grounding.partitions()) {
@@ -705,6 +497,7 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use roomcast_core::semantic_map::import::{self, Registries};
 
     fn warned(rooms: &Value, items: &Value, aliases: &Value) -> Vec<String> {
         let scene = json!({

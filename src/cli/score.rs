@@ -1,7 +1,7 @@
 //! `roomcast score`: scores one narration in one scene, once.
 
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde_json::json;
 
@@ -96,11 +96,6 @@ impl Args {
         GroundingOptions { level: self.level.unwrap_or_default(), room_labels: !self.no_room_labels }
     }
 
-    /// Scene, model and its options, for commands that do not score a given narration.
-    pub(super) fn scene_and_model(&self) -> (Option<&Path>, Option<&Path>, LlamaOptions) {
-        (self.scene.as_deref(), self.model.as_deref(), self.llama_options())
-    }
-
     fn llama_options(&self) -> LlamaOptions {
         let default = LlamaOptions::default();
         LlamaOptions {
@@ -112,11 +107,6 @@ impl Args {
 
     pub(super) fn binding(&self) -> BindingSequence {
         self.binding.clone().unwrap_or_default()
-    }
-
-    /// Whether the command line sets binding or partitions, which a recording may set itself.
-    pub(super) fn says_binding_or_partitions(&self) -> bool {
-        self.binding.is_some() || self.level.is_some() || self.no_room_labels
     }
 
     pub(super) fn top(&self) -> usize {

@@ -480,6 +480,7 @@ mod tests {
                 others.receive_behind(&next).unwrap();
                 others.since_the_last_line(&next)
             });
+            // The forecasts come late, within the time that they have.
             std::thread::sleep(BEHIND / 4);
             forecasts.send(&told(3)).unwrap();
             line.join().unwrap()

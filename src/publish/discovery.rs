@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 
+use super::known::AWAY;
 use super::names::{Named, PERSON, ahead, in_s, of_room};
 use super::orders;
 use roomcast_services::config::BridgeConfig;
@@ -173,8 +174,8 @@ impl<'a> Discovery<'a> {
         }
     }
 
-    /// A person: the likely room now and later, and whether the person is at home.
-    pub(super) fn person(&mut self, Named { part: person, name }: &Named) {
+    /// A person: the likely room now and later, whether the person is at home, and a selection of the rooms (names) that corrects the place.
+    pub(super) fn person(&mut self, Named { part: person, name }: &Named, rooms: &[(String, String)]) {
         let topic = format!("persons/{person}");
         let entity = |component, object: String, name, template: String, more| Entity {
             component,
@@ -198,6 +199,13 @@ impl<'a> Discovery<'a> {
         let presence = json!({ "device_class": "presence" });
         let object = format!("{PERSON}{person}_home");
         self.add(entity("binary_sensor", object, format!("{name} home"), home, presence), true);
+        let options: Vec<&str> = rooms.iter().map(|(_, shown)| shown.as_str()).chain([AWAY]).collect();
+        let place = json!({
+            "command_topic": orders::place_topic(&self.config.topic, person), "options": options,
+            "icon": "mdi:map-marker-account",
+        });
+        let template = "{{ value_json.likely_name or 'None' }}".to_owned();
+        self.add(entity("select", format!("{PERSON}{person}_place"), format!("{name} place"), template, place), true);
     }
 
     /// The orders to a robot: a switch that holds it, and for each room (id and name) buttons to clean and to skip it.

@@ -17,13 +17,14 @@ use super::outbox::Picture;
 use crate::flags::{decision_flag_names, forecast_flag_names};
 use crate::robot_place::{Place, Places};
 use roomcast_services::config::BridgeConfig;
+use roomcast_services::narrator::Who;
 use roomcast_services::participant::PLANNER;
 use roomcast_services::planner::Planner;
 
 /// Most robots: the configured one, and as many as `roomcast-zenoh` follows. If there are more, the one with the oldest decision is dropped.
 pub(super) const ROBOTS_MAX: usize = 16;
 /// The place of a person outside all rooms.
-const AWAY: &str = "away";
+pub(super) const AWAY: &str = "away";
 /// The value of an availability topic.
 pub(super) const ONLINE: &str = "online";
 /// Its value when the bridge or the daemon is gone.
@@ -64,6 +65,16 @@ impl Known {
         self.persons().map(|(_, person)| person.person).collect()
     }
 
+    /// Each person's part of topics, and how a narrator names the person.
+    pub(super) fn correctable(&self) -> Vec<(String, Who)> {
+        let persons = self.persons().map(|(_, person)| person);
+        let who = |person: &PersonForecastV1| match person.name() {
+            "" => person.person.to_string().parse(),
+            name => name.parse(),
+        };
+        persons.filter_map(|person| Some((of_person(person.person, person.name()), who(person).ok()?))).collect()
+    }
+
     pub(super) fn take_reasons(&mut self, reasons: &BTreeMap<u32, String>) {
         self.reasons.clone_from(reasons);
     }
@@ -99,6 +110,12 @@ impl Known {
 
     pub(super) fn rooms(&self) -> Vec<String> {
         self.scores.iter().flat_map(|scores| scores.rooms()).map(|room| room.id().to_owned()).collect()
+    }
+
+    /// The rooms' ids with their names for people.
+    pub(super) fn named_rooms(&self) -> Vec<(String, String)> {
+        let rooms = self.rooms();
+        rooms.iter().map(|room| (room.clone(), name_in(&rooms, room))).collect()
     }
 
     /// When any robot last cleaned a room, in Unix seconds.
@@ -225,9 +242,9 @@ impl Known {
             discovery.home(self.narrated_unix_s.is_some());
             let is_cleaned = |room: &str| self.cleaned_unix_s(room).is_some();
             rooms.iter().for_each(|room| discovery.room(room, &name_in(&rooms, room), is_cleaned(room)));
-            let shown: Vec<(String, String)> = rooms.iter().map(|room| (room.clone(), name_in(&rooms, room))).collect();
+            let shown = self.named_rooms();
             discovery.orders(&named(own, robot), &shown);
-            persons.iter().for_each(|person| discovery.person(person));
+            persons.iter().for_each(|person| discovery.person(person, &shown));
             robots.iter().for_each(|robot| discovery.robot(robot));
             picture.extend(discovery.messages());
         }

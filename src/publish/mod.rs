@@ -4,6 +4,7 @@
 //! so an absent broker costs no memory. At every connection it publishes everything again, and removes unwanted topics of an earlier run.
 
 use std::collections::BTreeSet;
+use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
 use roomcast_ipc::raw::{DecisionV1, ForecastV1, PersonForecastsV1, RobotReportV1, RoomScoresV1};
@@ -13,6 +14,7 @@ use roomcast_services::config::Config;
 use roomcast_services::logging::Limiter;
 use roomcast_services::mqtt::link::{Heard, Link, Will};
 use roomcast_services::mqtt::{Broker, MqttError};
+use roomcast_services::narrator::{self, CORRECTIONS, Input, Item, Pace};
 use roomcast_services::notify::{Watchdog, notify};
 use roomcast_services::planner::Planner;
 use roomcast_services::receive::receive;
@@ -48,6 +50,8 @@ const SILENCE_NS: u64 = 2_000_000_000;
 const WAIT: Duration = Duration::from_secs(10);
 /// If a turn of the connection's thread takes longer, the watchdog is not fed.
 const TURN_MAX_NS: u64 = 5_000_000_000;
+/// Most corrections that wait for the daemon.
+const CORRECTIONS_MAX: usize = 8;
 /// Least time between two complaints about malformed messages.
 const QUIET_NS: u64 = 5_000_000_000;
 
@@ -234,6 +238,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
     let advisor = Planner::for_advice(config);
     let mut known = Known::default().with_advisor(advisor);
     let mut reports: Option<Publisher<RobotReportV1>> = None;
+    let mut corrections: Option<SyncSender<Item>> = None;
     // Printed messages are not retained.
     let mut outbox = match &link {
         Some(_) => Outbox::with_list(&ears.base, &ears.node),
@@ -264,6 +269,21 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
         if let Some(link) = &link {
             let (now, ordered) = listen(link, connection, &mut ears, &mut outbox);
             for order in ordered {
+                let persons = known.correctable();
+                if let Some(read) = ears.orders.correction(&order.topic, &order.payload, persons, &known.named_rooms())
+                {
+                    let sent = read.and_then(|item| {
+                        let sender = match &mut corrections {
+                            Some(sender) => sender,
+                            None => corrections.insert(send_corrections(config, domain, stop)?),
+                        };
+                        sender.try_send(item).map_err(|_| "earlier corrections wait for the daemon".to_owned())
+                    });
+                    if let Err(error) = sent {
+                        tracing::warn!(error, topic = order.topic, "a correction over MQTT is not taken");
+                    }
+                    continue;
+                }
                 let times = (clock::monotonic_ns(), clock::unix_ns());
                 let (robots, rooms) = (known.robots(&config.planner.robot), known.rooms());
                 match ears.orders.read(&order.topic, &order.payload, &robots, &rooms, times) {
@@ -324,6 +344,25 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
         link.leave();
     }
     Ok(())
+}
+
+/// Starts a thread that sends corrections to the daemon, one after the other, as `roomcast person correct` does. It ends with its sender.
+fn send_corrections(config: &Config, domain: &Domain, stop: &Stop) -> Result<SyncSender<Item>, String> {
+    let (sender, items) = sync_channel(CORRECTIONS_MAX);
+    let (mut own, limits) = (config.narrator.clone(), config.daemon.intake);
+    (own.name, own.linger_s) = (CORRECTIONS.to_owned(), WAIT.as_secs_f64());
+    let (domain, stop) = (domain.clone(), stop.clone());
+    let send = move || {
+        for item in items {
+            match narrator::run(&own, limits, &domain, Input::Items(vec![item]), Pace::Seconds(0.0), &stop) {
+                Ok(outcome) if outcome.confirmed > 0 => {}
+                Ok(_) => tracing::warn!("the daemon did not confirm a correction over MQTT; send it again"),
+                Err(error) => tracing::warn!(%error, "failed to send a correction over MQTT"),
+            }
+        }
+    };
+    std::thread::Builder::new().name("corrections".to_owned()).spawn(send).map_err(|error| error.to_string())?;
+    Ok(sender)
 }
 
 /// Removes everything that a bridge has retained at the broker, and ends.

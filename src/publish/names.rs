@@ -5,7 +5,7 @@
 use roomcast_services::slug::{slug, summed};
 
 /// Endings of the ids of persons' and rooms' entities, besides times ahead.
-const ENDINGS: [&str; 3] = ["_home", "_now", "_soon"];
+const ENDINGS: [&str; 4] = ["_home", "_now", "_place", "_soon"];
 /// The beginning of the ids of persons' entities.
 pub(super) const PERSON: &str = "person_";
 

@@ -1,12 +1,14 @@
-//! Orders of persons over MQTT: a switch that holds a robot, and buttons that clean or skip a room. No I/O.
+//! Orders of persons over MQTT: a switch that holds a robot, buttons that clean or skip a room, and corrections of persons' places. No I/O.
 
 use std::collections::BTreeMap;
 
 use roomcast_core::ids::{BootNs, UnixNs};
-use roomcast_ipc::raw::RobotReportV1;
+use roomcast_ipc::raw::{RobotReportV1, narration_kind};
 use roomcast_ipc::sequence;
+use roomcast_services::narrator::{Item, Who};
 use roomcast_services::reporter::{Kind, Report, Reporter};
 
+use super::known::AWAY;
 use super::names::{Named, of_room};
 
 /// The last level of the topics.
@@ -15,6 +17,11 @@ const BYTES_MAX: usize = 1024;
 
 pub(super) fn topic(base: &str, robot: &str, level: &str) -> String {
     format!("{base}/robots/{robot}/{level}")
+}
+
+/// The topic that corrects a person's place.
+pub(super) fn place_topic(base: &str, person: &str) -> String {
+    format!("{base}/persons/{person}/place")
 }
 
 /// A hold with a note or an end.
@@ -39,11 +46,42 @@ impl Orders {
     }
 
     pub(super) fn filters(&self) -> Vec<String> {
-        LEVELS.map(|level| topic(&self.base, "+", level)).into()
+        LEVELS.map(|level| topic(&self.base, "+", level)).into_iter().chain([place_topic(&self.base, "+")]).collect()
     }
 
     pub(super) fn has(&self, topic: &str) -> bool {
-        self.parts(topic).is_some()
+        self.parts(topic).is_some() || self.person(topic).is_some()
+    }
+
+    /// The person whose place a topic corrects.
+    fn person<'a>(&self, topic: &'a str) -> Option<&'a str> {
+        let person = topic.strip_prefix(&self.base)?.strip_prefix("/persons/")?.strip_suffix("/place")?;
+        (!person.contains('/')).then_some(person)
+    }
+
+    /// The presence of a message that corrects the place of one of these persons, with the names of the rooms by id; `None` if it is another order.
+    pub(super) fn correction(
+        &self,
+        topic: &str,
+        payload: &[u8],
+        persons: Vec<(String, Who)>,
+        rooms: &[(String, String)],
+    ) -> Option<Result<Item, String>> {
+        let part = self.person(topic)?;
+        let Some((_, who)) = persons.into_iter().find(|(own, _)| own == part) else {
+            return Some(Err(format!("no person is known as {part}")));
+        };
+        let text = std::str::from_utf8(payload).unwrap_or_default().trim();
+        let room = rooms.iter().find(|(id, shown)| [id, shown].iter().any(|own| *own == text) || of_room(id) == text);
+        let place = match room {
+            Some((id, _)) => format!("present in the {id}"),
+            None if text == AWAY => AWAY.to_owned(),
+            None => {
+                let ids: Vec<&str> = rooms.iter().map(|(id, _)| id.as_str()).collect();
+                return Some(Err(format!("the map has no room of this name; give {} or {AWAY}", ids.join(", "))));
+            }
+        };
+        Some(Ok(Item::new(narration_kind::PRESENCE, place, who)))
     }
 
     /// The robot and the kind of order in a topic.
@@ -125,6 +163,31 @@ mod tests {
             let told = read(topic, payload).unwrap_err();
             assert!(told.contains(part), "{told}");
         }
+    }
+
+    #[test]
+    fn places_become_presences_of_the_person_of_their_topic() {
+        let orders = Orders::new("roomcast");
+        let rooms = [("home-office-3".to_owned(), "home office".to_owned()), ("küche".to_owned(), "küche".to_owned())];
+        let read = |topic: &str, payload: &str| {
+            let persons = vec![("jon".to_owned(), "jon".parse().unwrap())];
+            orders.correction(topic, payload.as_bytes(), persons, &rooms)
+        };
+        for (payload, text) in [
+            ("home office", "present in the home-office-3"),
+            ("home-office-3", "present in the home-office-3"),
+            ("küche", "present in the küche"),
+            ("away", "away"),
+        ] {
+            let item = read("roomcast/persons/jon/place", payload).unwrap().unwrap();
+            assert_eq!((item.text.as_str(), item.person.name()), (text, "jon"));
+        }
+        let fault = read("roomcast/persons/jon/place", "attic").unwrap().unwrap_err();
+        assert!(fault.contains("give home-office-3, küche or away"), "{fault}");
+        let fault = read("roomcast/persons/eve/place", "away").unwrap().unwrap_err();
+        assert!(fault.contains("no person is known as eve"), "{fault}");
+        assert!(read("roomcast/robots/vacuum/hold", "ON").is_none() && !orders.has("roomcast/persons/a/b/place"));
+        assert!(orders.has("roomcast/persons/jon/place") && !orders.has("roomcast/persons/jon"));
     }
 
     #[test]

@@ -130,7 +130,9 @@ fn no_entity_is_told_of_a_time_or_a_text_that_is_none() {
         let config: Value = serde_json::from_str(payload).unwrap();
         let template = config["value_template"].as_str().unwrap();
         // Numbers and binary sensors take `None` for unknown.
-        let takes_none = topic.contains("/binary_sensor/") || config.get("unit_of_measurement").is_some();
+        let takes_none = topic.contains("/binary_sensor/")
+            || topic.contains("/select/")
+            || config.get("unit_of_measurement").is_some();
         assert_eq!(template.contains("None"), takes_none, "{topic}: {template}");
         let is_never_none = ["narrated", "_decision", "_reason", "_hold"].iter().any(|part| topic.contains(part));
         assert!(takes_none || is_never_none || template.contains("or 'unknown'"), "{topic}: {template}");
@@ -169,6 +171,18 @@ fn persons_are_in_their_likeliest_room_or_away() {
     );
     let stranger = picture.keys().find(|topic| topic.starts_with("roomcast/persons/person_7_")).unwrap();
     assert_eq!(message(&picture, stranger)["likely"], Value::Null);
+}
+
+#[test]
+fn a_selection_of_rooms_corrects_a_persons_place_and_disappears_with_the_person() {
+    let mut known = known(&["kitchen", "hall-2"], &[[0.9; 3]; 2], &["ada"]);
+    let topic = "homeassistant/select/roomcast/person_ada_place/config";
+    let select = message(&draw(&mut known), topic);
+    assert_eq!(select["options"], json!(["kitchen", "hall", "away"]));
+    assert_eq!(select["command_topic"], "roomcast/persons/ada/place");
+    assert_eq!(known.correctable(), [("ada".to_owned(), "ada".parse().unwrap())]);
+    known.take_persons(&persons(&scores(&["kitchen", "hall-2"]), &[]));
+    assert!(!draw(&mut known).contains_key(topic));
 }
 
 #[test]
@@ -281,15 +295,15 @@ fn discovery_is_one_device_with_unique_safe_ids_whatever_names_are_like() {
     let mut known = known(&ids, &[[0.1; 3]; 6], &[ODD, "Ada Lovelace"]);
     let picture = draw(&mut known);
     let configs: Vec<_> = picture.iter().filter(|(topic, _)| topic.ends_with("/config")).collect();
-    // Two of the home, five of each room, four of each person, five of the robot, and two of its buttons for each room.
-    assert_eq!(configs.len(), 2 + 6 * 5 + 2 * 4 + 5 + 6 * 2);
+    // Two of the home, five of each room, five of each person, five of the robot, and two of its buttons for each room.
+    assert_eq!(configs.len(), 2 + 6 * 5 + 2 * 5 + 5 + 6 * 2);
     let mut unique = std::collections::HashSet::new();
     for (topic, payload) in configs {
         let levels: Vec<_> = topic.split('/').collect();
         assert!(
             matches!(
                 levels[..],
-                ["homeassistant", "sensor" | "binary_sensor" | "switch" | "button", "roomcast", _, "config"]
+                ["homeassistant", "sensor" | "binary_sensor" | "switch" | "button" | "select", "roomcast", _, "config"]
             ),
             "{topic}"
         );
@@ -325,6 +339,7 @@ fn names() -> impl Strategy<Value = String> {
         "_in_60_s",
         "_in_1.5_s",
         "_home",
+        "_place",
         "_now",
         "_soon",
         "_decision",
@@ -383,7 +398,7 @@ proptest::proptest! {
             .collect();
         let (each, all_robots) = (2 + horizons_s.len(), robots.len() + unknown as usize);
         let own = 1 + 2 * rooms.len();
-        let expected = 2 + each * (rooms.len() + people.len()) + rooms.len() + 4 * (all_robots + 1) + own;
+        let expected = 2 + each * (rooms.len() + people.len()) + rooms.len() + people.len() + 4 * (all_robots + 1) + own;
         let of = |key: &str| {
             entities.iter().filter_map(|entity| Some(entity.get(key)?.to_string())).collect::<BTreeSet<_>>()
         };

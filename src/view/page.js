@@ -3,10 +3,10 @@
 const SVG = "http://www.w3.org/2000/svg";
 const POLL_MS = 500;
 const RETRY_MS = 2000;
-// Names on the plan are so high at least, also where the plan is small; in rooms too narrow for that, they are smaller, down to the second.
+// Least height of names on the plan; in narrow rooms they shrink to the second.
 const NAME_PX = 11;
 const SMALL_PX = 7;
-// So much of a line's height is between the middles of name, probability and persons.
+// Distances of name, probability and persons, in lines.
 const LINES = [0, 1.2, 2.3];
 const element = (id) => document.getElementById(id);
 const made = (name, attributes, text) => {
@@ -40,7 +40,7 @@ let paused = false;
 let playing = false;
 let timer = null;
 let asking = false;
-// What was chosen while an answer was under way is asked for after it.
+// A choice during a request is sent after it.
 let again = false;
 // 0 is the next action; 1 is now; the others are the horizons after it.
 let when = 1;
@@ -78,8 +78,7 @@ const spans = (rings, y) => {
   return ends.flatMap((x, i) => i % 2 ? [] : [[x, ends[i + 1]]]);
 };
 
-// Where in a room, whose y goes down, a name of this width and lines of this height fit best: in its middle where they can, else where
-// most of the width is free.
+// The best place for a name of this width and height in a room: its middle, or else the widest free place.
 const placeOfName = (rings, width, height) => {
   const [cx, cy] = centre(rings[0]);
   const ys = rings[0].map((p) => p[1]);
@@ -132,15 +131,14 @@ const drawPlan = () => {
     floors.append(made("path", { d, "fill-rule": "evenodd", class: "floor" }));
     const known = state && state.rooms.find((own) => own.id === room.id);
     const heat = made("path", { d, "fill-rule": "evenodd", class: "heat", "fill-opacity": warmth(known ? roomValue(known) : 0) });
-    const title = made("title");
-    heat.append(title);
+    heat.dataset.name = room.name;
     heats.append(heat);
     walls.append(made("path", { d, class: "wall", "stroke-width": 0.5 * unit }));
     const name = made("text", {}, room.name);
     const value = made("text", { "font-weight": "bold" });
     const who = made("text", { class: "person" });
     const robot = made("circle", { class: "robot", visibility: "hidden" });
-    robot.append(made("title", {}, "The robot is here"));
+    robot.dataset.name = "robot";
     names.append(name, value, who, robot);
     const write = (text, size) => {
       text.setAttribute("font-size", size);
@@ -164,7 +162,7 @@ const drawPlan = () => {
       text.setAttribute("y", y + LINES[i] * size);
     });
     for (const [key, number] of Object.entries({ cx: x, cy: y - 1.3 * size, r: 0.5 * size, "stroke-width": 0.4 * unit })) robot.setAttribute(key, number);
-    plan.shapes[room.id] = { heat, title, value, who, robot };
+    plan.shapes[room.id] = { heat, value, who, robot };
   }
   for (const [x, y] of plan.doors) {
     const [cx, cy] = at([x, y]);
@@ -178,8 +176,10 @@ const drawPlan = () => {
   for (const item of plan.items) {
     const [cx, cy] = at(item.at);
     const dot = made("circle", { cx, cy, r: 0, class: "thing" });
-    dot.append(made("title", {}, item.label));
-    things.append(dot);
+    // A finger needs more room than a dot.
+    const touch = made("circle", { cx, cy, r: 1.5 * unit, class: "touch" });
+    dot.dataset.name = touch.dataset.name = item.label;
+    things.append(dot, touch);
     plan.dots[item.id] = dot;
   }
   plan.unit = unit;
@@ -187,13 +187,115 @@ const drawPlan = () => {
 
 const line = (parent, text, className) => parent.append(html("span", text, className), document.createElement("br"));
 
+const sentences = (text) => text.split(". ").map(capital).join(". ");
+const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
+const roomName = (id) => (state.rooms.find((room) => room.id === id) || { name: id }).name;
+
+// "Kitchen (99 % sure)", by the room set where there is one, or else by the likeliest place.
+const whereText = (person) => {
+  const at = Math.max(0, when - 1);
+  if (person.sets && person.sets[at].length && person.sets[at].length <= 3) {
+    const value = (id) => personValue(person, state.rooms.findIndex((room) => room.id === id));
+    const set = person.sets[at].filter((id) => state.rooms.some((room) => room.id === id)).sort((a, b) => value(b) - value(a));
+    const out = person.sets[at].filter((id) => !set.includes(id));
+    return `${capital([...set, ...out].map(roomName).join(" or "))} (${percent(person.set_has[at])} sure)`;
+  }
+  const places = [...state.rooms.map((room, place) => [personValue(person, place), room.name]), [person.elsewhere[at], "out of the house"]];
+  const [p, name] = places.sort((a, b) => b[0] - a[0])[0];
+  return p >= 0.05 ? `${capital(name)} (${percent(p)} sure)` : "Not known";
+};
+
+// A person's next hour: a row for each likely place, darker where it is likelier.
+const nextHour = (person) => {
+  const horizons = state.horizons_s;
+  const places = [...state.rooms.map((room, place) => [room.name, person.rooms[place]]), ["out", person.elsewhere]];
+  const likely = places.filter(([, row]) => Math.max(...row) >= 0.1).sort((a, b) => b[1][0] - a[1][0]).slice(0, 4);
+  const strip = html("div", undefined, "hour");
+  for (const [name, row] of likely) {
+    const svg = made("svg", { viewBox: "0 0 100 10", preserveAspectRatio: "none" });
+    // The first minutes get as much width as the later ones: the scale is the square root of time.
+    const x = (seconds) => 100 * Math.sqrt(seconds / horizons[horizons.length - 1]);
+    row.forEach((p, i) => {
+      const end = i + 1 < horizons.length ? x(horizons[i + 1]) : 100;
+      const cell = made("rect", { x: x(horizons[i]), y: 0, width: Math.max(0, end - x(horizons[i])), height: 10, "fill-opacity": p, class: "cell" });
+      cell.dataset.name = `${name}: ${percent(p)} ${horizons[i] ? `in ${time(horizons[i])}` : "now"}`;
+      svg.append(cell);
+    });
+    strip.append(html("span", name), svg);
+  }
+  const scale = html("span", undefined, "scale");
+  scale.append(...["now", "15 min", "1 h"].map((text) => html("span", text)));
+  strip.append(html("span"), scale);
+  return strip;
+};
+
+const personCard = (person) => {
+  const card = html("li");
+  card.append(html("strong", `${person.name}: ${person.rooms ? whereText(person) : "not known"}`));
+  line(card, [...(person.rooms ? [when < 2 ? "now" : whenText()] : []), person.presence, ...person.notes].join(" · "), "dim");
+  if (person.rooms && state.horizons_s.length > 1) card.append(nextHour(person));
+  if (person.why) line(card, person.why, "dim");
+  return card;
+};
+
+// The robot's rooms in their order: past stays, the present one, and the rooms that are left.
+const planStrip = (decision) => {
+  const strip = html("ol", undefined, "strip");
+  decision.stays.forEach((stay, i) => {
+    const next = decision.stays[i + 1];
+    const item = html("li", stay.name, next ? "past" : "present");
+    item.append(html("span", `${stay.works ? "" : "waits "}${next ? time(stay.ago_s - next.ago_s) : `for ${time(stay.ago_s)}`}`));
+    strip.append(item);
+  });
+  for (const id of decision.left || []) {
+    if (id !== decision.to) {
+      const item = html("li", roomName(id), "left");
+      item.append(html("span", "to do"));
+      strip.append(item);
+    }
+  }
+  return strip;
+};
+
+const robotCard = (decision) => {
+  if (!decision) return [state.live ? "The planner has not decided yet." : "No decision until then."];
+  const card = html("div");
+  card.append(html("strong", decision.text), planStrip(decision));
+  // The first sentence is the reason; the rest is detail.
+  const end = decision.reason.search(/\.( |$)|; /);
+  line(card, `${capital(end < 0 ? decision.reason : decision.reason.slice(0, end))}.`);
+  if (end >= 0 && end + 2 < decision.reason.length) line(card, sentences(decision.reason.slice(end + 2).trim()), "dim");
+  line(card, { "dry run": "Dry run: no robot has reported.", "on its dock": "It is on its dock.", "unknown": "Its place is unknown." }[decision.place] || `It is in ${decision.place}.`);
+  const cleaned = state.rooms.filter((room) => decision.cleaned_s && room.id in decision.cleaned_s).map((room) => `${room.name} ${ago(decision.cleaned_s[room.id])}`);
+  if (cleaned.length) line(card, `Last cleaned: ${cleaned.join(", ")}.`, "dim");
+  if (decision.left) line(card, decision.left.length ? `Still to do: ${decision.left.map(roomName).join(", ")}.` : "Every room is done.");
+  line(card, `by ${decision.policy}, ${ago(decision.age_s)}` + (decision.notes.length ? ` · ${decision.notes.join(", ")}` : ""), "dim");
+  return [...card.childNodes];
+};
+
+// Names of rooms and things on hover and tap.
+const showName = (event) => {
+  const named = event.target.closest("[data-name]");
+  const label = element("named");
+  label.hidden = !named;
+  if (!named) return;
+  label.textContent = named.dataset.name;
+  label.style.left = `${Math.min(event.pageX + 12, document.documentElement.clientWidth - label.offsetWidth - 4)}px`;
+  label.style.top = `${event.pageY + 14}px`;
+};
+
 const show = () => {
   if (!state) return;
   const horizon = element("horizon");
-  // What there is nothing of is not to be chosen.
+  // Without forecasts there is no time to choose.
   if (!state.forecasts) when = 0;
   element("horizon-controls").hidden = !state.forecasts;
   element("live-controls").hidden = !state.live;
+  element("orders").hidden = !state.control;
+  const choice = element("order-room");
+  if (choice.options.length !== state.rooms.length || state.rooms.some((room, i) => choice.options[i].textContent !== room.name)) {
+    choice.replaceChildren(...state.rooms.map((room, i) => { const own = html("option", room.name); own.value = i; return own; }));
+  }
   horizon.max = Math.max(1, state.horizons_s.length);
   element("horizon-text").textContent = whenText();
   horizon.setAttribute("aria-valuetext", whenText());
@@ -211,7 +313,7 @@ const show = () => {
       shape.heat.setAttribute("fill-opacity", warmth(p));
       shape.value.textContent = percent(p);
       shape.who.textContent = there.join(", ");
-      shape.title.textContent = `${room.name}: ${percent(p)} ${whenText()}`;
+      shape.heat.dataset.name = `${room.name}: ${percent(p)} ${whenText()}`;
       shape.robot.setAttribute("visibility", at === room.id ? "visible" : "hidden");
     }
     const row = html("tr");
@@ -229,47 +331,15 @@ const show = () => {
       dot.setAttribute("r", most > 0 ? 1.6 * plan.unit * Math.sqrt(share / most) : 0);
     }
   }
-  const persons = state.persons.map((person) => {
-    const card = html("li");
-    card.append(html("strong", person.name));
-    line(card, person.presence + (person.notes.length ? ` · ${person.notes.join(", ")}` : ""), "dim");
-    if (person.rooms) {
-      const likely = state.rooms.map((room, place) => [personValue(person, place), room.name]).sort((a, b) => b[0] - a[0]);
-      const shown = likely.slice(0, 2).filter(([p]) => p >= 0.005).map(([p, name]) => `${name} ${percent(p)}`);
-      const out = person.elsewhere[Math.max(0, when - 1)];
-      if (out >= 0.005) shown.push(`out of the house ${percent(out)}`);
-      line(card, `${when === 0 ? "now" : whenText()}: ${shown.join(", ") || "not known"}`);
-    }
-    if (person.why) line(card, person.why, "dim");
-    if (person.sets) {
-      // The promise is of a time ahead.
-      const at = Math.max(0, when - 1);
-      const set = person.sets[at].map((id) => (state.rooms.find((room) => room.id === id) || { name: id }).name);
-      if (set.length) line(card, `in one of these with ${percent(person.set_has[at])} (set for ${percent(person.coverage)} on the long run): ${set.join(", ")}`, "dim");
-    }
-    return card;
-  });
-  element("persons").replaceChildren(...(persons.length ? persons : [html("li", state.live ? "Nobody is known yet." : "Nobody is known then.")]));
-  const robot = element("robot");
-  robot.replaceChildren();
-  if (state.decision) {
-    robot.append(html("strong", state.decision.text));
-    line(robot, state.decision.reason);
-    line(robot, { "dry run": "Dry run: no robot has reported.", "on its dock": "It is on its dock.", "unknown": "It does not say where it is." }[state.decision.place] || `It is in ${state.decision.place}.`);
-    const left = state.decision.left && state.rooms.filter((room) => state.decision.left.includes(room.id)).map((room) => room.name);
-    const cleaned = state.rooms.filter((room) => state.decision.cleaned_s && room.id in state.decision.cleaned_s).map((room) => `${room.name} ${ago(state.decision.cleaned_s[room.id])}`);
-    if (cleaned.length) line(robot, `Last cleaned: ${cleaned.join(", ")}.`, "dim");
-    if (left) line(robot, left.length ? `Still to do: ${left.join(", ")}.` : "Every room is done.");
-    line(robot, `by ${state.decision.policy}, ${ago(state.decision.age_s)}` + (state.decision.notes.length ? ` · ${state.decision.notes.join(", ")}` : ""), "dim");
-  } else {
-    robot.append(state.live ? "No decision has been heard yet." : "No decision until then.");
-  }
+  const persons = state.persons.map(personCard);
+  element("persons").replaceChildren(...(persons.length ? persons : [html("li", state.live ? "No person is known yet." : "No person is known then.")]));
+  element("robot").replaceChildren(...robotCard(state.decision));
   const said = state.narration.map((told) => {
     const item = html("li", told.text);
     item.append(" ", html("span", `${told.who} · ${ago(told.age_s)}`, "dim"));
     return item;
   });
-  element("narration").replaceChildren(...(said.length ? said : [html("li", state.live ? "Nothing since the view began." : "Nothing was said until then.")]));
+  element("narration").replaceChildren(...(said.length ? said : [html("li", state.live ? "No event since the view began." : "No event until then.")]));
   showQuality();
   if (!state.live) {
     element("time-controls").hidden = state.length_s === 0;
@@ -285,7 +355,7 @@ const showQuality = () => {
   const box = element("quality");
   const curve = state.quality;
   if (!curve.length) {
-    box.textContent = "Known once somebody is observed 15 minutes after a forecast.";
+    box.textContent = "Known when a person was observed 15 minutes after a forecast.";
     return;
   }
   const last = curve[curve.length - 1];
@@ -294,20 +364,35 @@ const showQuality = () => {
   const points = curve.map((hour, i) => `${(i * step).toFixed(2)},${(100 - 100 * hour.p).toFixed(2)}`);
   if (points.length === 1) points.push(`100,${points[0].split(",")[1]}`);
   svg.append(made("polyline", { points: points.join(" ") }));
-  const text = `On average the forecast of 15 minutes before gave ${percent(last.p)} to the room where somebody was then observed, in the last of ${curve.length} hours (${last.n} comparisons).`;
+  const text = `On average the forecast of 15 minutes before gave ${percent(last.p)} to the room where a person was then observed, in the last of ${curve.length} hours (${last.n} comparisons).`;
   box.replaceChildren(svg, html("span", text, "dim"));
 };
 
-const get = async (path) => {
+const get = async (path, method = "GET") => {
   // The key of this start stands in the address, behind #.
   const headers = { "x-roomcast-key": location.hash.slice(1) };
-  const answer = await fetch(path, { cache: "no-store", credentials: "omit", headers });
+  const answer = await fetch(path, { method, cache: "no-store", credentials: "omit", headers });
   if (!answer.ok) {
     const error = new Error(await answer.text());
     error.refused = answer.status === 403;
     throw error;
   }
   return answer.json();
+};
+
+// An order goes to the planner; its next decision shows the effect.
+const order = async (button) => {
+  const { order: kind, for: seconds } = button.dataset;
+  const isOfRoom = kind === "clean" || kind === "skip";
+  const query = `kind=${kind}` + (isOfRoom ? `&room=${element("order-room").value}` : "") + (seconds ? `&for=${seconds}` : "");
+  const text = element("order-text");
+  try {
+    await get(`order?${query}`, "POST");
+    text.textContent = "Sent.";
+  } catch (error) {
+    text.textContent = error.message;
+  }
+  setTimeout(() => { text.textContent = ""; }, 4000);
 };
 
 const setPlaying = (goesOn) => {
@@ -340,13 +425,13 @@ const ask = async () => {
       : "No answer from `roomcast view`: start it again, and open the address that it prints.";
   }
   asking = false;
-  // Nothing comes after the end.
+  // The recording is at its end.
   if (!fault && playing && chosenTime >= state.length_s) setPlaying(false);
   const goesOn = state && !state.live ? playing : !paused;
-  // Nobody looks at a hidden page.
+  // A hidden page needs no news.
   if (again) timer = setTimeout(ask, fault ? RETRY_MS : 0);
   else if ((goesOn || fault) && !document.hidden) timer = setTimeout(ask, fault ? RETRY_MS : POLL_MS);
-  // What follows is no fault of the connection, whatever it is.
+  // Faults from here on are not faults of the connection.
   if (plan !== drawn) drawPlan();
   if (fault) {
     const daemon = element("daemon");
@@ -357,6 +442,9 @@ const ask = async () => {
   }
 };
 
+document.addEventListener("pointermove", showName);
+document.addEventListener("click", showName);
+element("orders").addEventListener("click", (event) => { if (event.target.dataset.order) order(event.target); });
 element("horizon").addEventListener("input", (event) => { when = Number(event.target.value); show(); });
 element("items").addEventListener("change", show);
 element("pause").addEventListener("click", (event) => {

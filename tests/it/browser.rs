@@ -7,6 +7,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use roomcast_services::recording::{self, Recorded};
 use serde_json::{Value, json};
 
 use crate::eventually::eventually;
@@ -215,6 +216,13 @@ fn the_page_shows_a_running_system_in_a_real_browser() {
     assert_eq!(browser.run("return document.querySelectorAll('img, iframe, object').length"), json!(0));
     assert_eq!(browser.run("return document.title"), json!("Roomcast"));
 
+    // A person holds the robot on the page, and lets it go on.
+    let click = |order: &str| browser.run(&format!("document.querySelector('[data-order={order}]').click()"));
+    click("hold");
+    browser.until("the robot is held", "return document.getElementById('robot').innerText.includes('On hold')");
+    click("resume");
+    browser.until("the robot goes on", "return !document.getElementById('robot').innerText.includes('On hold')");
+
     // The keyboard suffices: the first tab stop is the horizon.
     browser.run("document.activeElement.blur()");
     browser.press(TAB);
@@ -290,7 +298,12 @@ fn the_page_of_a_recording_offers_what_it_has_and_names_fit_their_rooms() {
     let said = "{\"person\": \"ada\", \"presence\": \"present\", \"room\": \"laundry-3\"}\n";
     narrator.stdin.take().unwrap().write_all(said.as_bytes()).unwrap();
     assert!(narrator.wait().unwrap().success());
-    std::thread::sleep(Duration::from_secs(2));
+    eventually("the recording has the map, the narration and its scores", || {
+        let recording = recording::read(&root.join("day.mcap")).ok().filter(|own| !own.maps.is_empty())?;
+        let of = |is: fn(&Recorded) -> bool| recording.messages.iter().rposition(|(_, message)| is(message));
+        let narrated = of(|message| matches!(message, Recorded::Narration(_)))?;
+        (of(|message| matches!(message, Recorded::RoomScores(_)))? > narrated).then_some(())
+    });
     rustix::process::kill_process(rustix::process::Pid::from_child(&record), rustix::process::Signal::TERM).unwrap();
     assert!(record.wait().unwrap().success());
 

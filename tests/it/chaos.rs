@@ -2,10 +2,6 @@
 //! reports, fails and falls silent. In the end: no event is lost or recorded twice, every score follows from the narration that it claims, no
 //! decision rests on stale scores, a room counts as done only after the robot's report, and no files are left.
 //!
-//! A second test does the same in a household of residents and visitors, with hostile processes that forge the narrator's source, epoch and number,
-//! invent sources and persons, send sentences too long for a window, and flood. No forged event counts, no narration is lost, the narrator keeps its
-//! places in a window, and no resident is forgotten.
-//!
 //! By default the test runs for some seconds. `ROOMCAST_CHAOS_CYCLES` sets the number of cycles, `ROOMCAST_CHAOS_SEED` the seed.
 //! `ROOMCAST_CHAOS_CYCLES=1000 cargo test --release --test it chaos -- --include-ignored --nocapture` is the long run.
 
@@ -20,20 +16,18 @@ use hdrhistogram::Histogram;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
-use roomcast_core::narration::{Observation, Presence, Sentence, person_number};
+use roomcast_core::narration::Observation;
 use roomcast_core::pipeline::Pipeline;
-use roomcast_ipc::raw::{
-    DecisionV1, IncludedV1, NarrationV1, RobotReportV1, RoomScoresV1, StatusResponseV1, action, decision_flags,
-    narration_kind, score_flags,
-};
-use roomcast_ipc::{Domain, Node, Publisher, QuestionPort, Subscriber, clock, question, sequence, text};
+use roomcast_ipc::raw::{DecisionV1, IncludedV1, RobotReportV1, RoomScoresV1, action, decision_flags, score_flags};
+use roomcast_ipc::{Domain, Node, Publisher, Subscriber, clock, sequence};
 use roomcast_llama::LlamaModel;
 use roomcast_services::config::Config;
-use roomcast_services::daemon::{PersonAnswer, PersonQuestion, journal};
-use roomcast_services::moment::{Moment, PersonLabels};
+use roomcast_services::daemon::journal;
 use roomcast_services::reporter::{Kind, Report, Reporter};
 use roomcast_services::setup;
 use rustix::process::{Pid, Signal, kill_process};
+
+use crate::eventually::waited;
 
 const DEFAULT_TIME: Duration = Duration::from_secs(8);
 /// On a busy machine the time alone may be over before anything has happened.
@@ -47,40 +41,6 @@ const NARRATOR: &str = "person";
 const OBJECTS: [&str; 12] =
     ["fridge", "mug", "sofa", "bed", "shower", "toothbrush", "stove", "book", "sink", "television", "closet", "table"];
 const VERBS: [&str; 3] = ["walk to", "look at", "touch"];
-
-const RESIDENTS: [&str; 2] = ["ada", "ben"];
-/// The narrator's places in a resident's window: half of twelve, since all unknown narrators together count as one.
-const PLACES: usize = 6;
-/// Words in forged events, and in events about invented persons.
-const FORGED: &str = "attic";
-const INVENTED: &str = "cellar";
-
-/// The person of a household's line; `None` if the line has no name and the daemon attributes it.
-fn whose(number: usize) -> Option<String> {
-    match number % 40 {
-        7 | 9 => Some(RESIDENTS[0].to_owned()),
-        13..20 => Some(format!("guest {}", number / 40)),
-        other => [Some(RESIDENTS[0]), Some(RESIDENTS[0]), Some(RESIDENTS[1]), None][other % 4].map(str::to_owned),
-    }
-}
-
-/// Whether a line only reports presence; the journal has no text of such a line.
-fn is_presence(number: usize) -> bool {
-    [7, 9, 13, 19].contains(&(number % 40))
-}
-
-/// The line as JSON.
-fn household_line(number: usize) -> String {
-    let person = whose(number).unwrap_or_default();
-    match number % 40 {
-        7 => format!("{{\"person\": {person:?}, \"presence\": \"away\"}}"),
-        9 => format!("{{\"person\": {person:?}, \"presence\": \"present\", \"room\": \"kitchen\"}}"),
-        13 => format!("{{\"person\": {person:?}, \"text\": \"They come home.\"}}"),
-        19 => format!("{{\"person\": {person:?}, \"presence\": \"gone\"}}"),
-        _ if person.is_empty() => format!("{{\"text\": {:?}}}", said(number)),
-        _ => format!("{{\"person\": {person:?}, \"text\": {:?}}}", said(number)),
-    }
-}
 
 /// Whether this line reports that the person leaves. The next line implies the return.
 fn leaves(number: usize) -> bool {
@@ -133,48 +93,8 @@ struct Observer {
     node: Node,
 }
 
-/// The hostile ports, and the test's questions to a household's daemon. The ports must drop before the node.
-struct Hostile {
-    forger: Publisher<NarrationV1>,
-    inventor: Publisher<NarrationV1>,
-    moments: QuestionPort,
-    persons: QuestionPort,
-    /// Recomputes the scores of a moment.
-    pipeline: Pipeline<LlamaModel>,
-    /// Claimed lines since the current daemon and narrator started. The daemon keeps no places for lines from before its start.
-    fresh: Vec<usize>,
-    /// A unique number for each intrusion.
-    counter: u64,
-    /// The narrator's epochs that were forged, newest last.
-    epochs: Vec<u64>,
-    /// The first resident's newest name.
-    name: String,
-    /// Whether the daemon has received events of both residents.
-    met: bool,
-    /// The newest status of each daemon.
-    status: BTreeMap<u64, StatusResponseV1>,
-    tally: Strange,
-    node: Node,
-}
-
-#[derive(Debug, Default)]
-struct Strange {
-    forged: u64,
-    sources: u64,
-    persons: u64,
-    costly: u64,
-    long: u64,
-    floods: u64,
-    renamed: u64,
-    moments: u64,
-    scores_again: u64,
-    /// Moments with hostile and honest sentences in one resident's window.
-    shared_windows: u64,
-}
-
 struct World {
     rng: ChaCha8Rng,
-    hostile: Option<Hostile>,
     directory: tempfile::TempDir,
     domain: Domain,
     config: PathBuf,
@@ -220,10 +140,9 @@ struct Tally {
 }
 
 impl World {
-    fn new(seed: u64, household: bool) -> Self {
+    fn new(seed: u64) -> Self {
         let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
-        let name = if household { "hostile" } else { "chaos" };
-        let domain = Domain::new(directory.path().join("d"), &format!("{name}-{}", std::process::id())).unwrap();
+        let domain = Domain::new(directory.path().join("d"), &format!("chaos-{}", std::process::id())).unwrap();
         let config = directory.path().join("roomcast.toml");
         let text = format!(
             "[model]\nthreads = 1\n[daemon]\nstate = {:?}\nheartbeat_ms = 100\njournal_bytes = 67108864\n\
@@ -233,34 +152,11 @@ impl World {
             directory.path().join("state"),
             DEADLINE_NS / 1_000_000,
         );
-        let of_a_household = format!(
-            "[history]\ntokens = 256\n[daemon.intake]\nrate_per_s = 300.0\nburst = 100.0\n[[daemon.narrator]]\nname = {NARRATOR:?}\n\
-             [persons]\nresidents = {RESIDENTS:?}\nvisitor_s = 1.0\nguard_s = 0.0\n[habits]\nlearn = false\n"
-        );
-        fs::write(&config, text + if household { &of_a_household } else { "" }).unwrap();
+        fs::write(&config, text).unwrap();
         let node = domain.open("chaos").unwrap();
         let own = files_of(&domain);
-        let hostile = household.then(|| {
-            let node = domain.open("stranger").unwrap();
-            Hostile {
-                forger: node.publisher().unwrap(),
-                inventor: node.publisher().unwrap(),
-                moments: node.question_port(question::MOMENT).unwrap(),
-                persons: node.question_port(question::PERSON).unwrap(),
-                pipeline: setup::open(&Config::load(&config).unwrap()).unwrap().0,
-                fresh: Vec::new(),
-                counter: 0,
-                epochs: Vec::new(),
-                name: RESIDENTS[0].to_owned(),
-                met: false,
-                status: BTreeMap::new(),
-                tally: Strange::default(),
-                node,
-            }
-        });
         Self {
             own,
-            hostile,
             rng: ChaCha8Rng::seed_from_u64(seed),
             observer: Some(Observer {
                 scores: node.subscriber().unwrap(),
@@ -312,10 +208,6 @@ impl World {
             let again = self.given.split_off(confirmed.min(self.given.len()));
             self.given.clear();
             (self.narrator_started_ns, self.narrator_epoch, self.claimed) = (started_ns, None, 0);
-            // The daemon may have unclaimed lines of the predecessor, even as the newest of a window.
-            if let Some(hostile) = &mut self.hostile {
-                hostile.fresh.clear();
-            }
             for number in again {
                 self.give(number);
             }
@@ -328,8 +220,7 @@ impl World {
         let narrator = self.processes.get_mut(&Role::Narrator);
         if let Some(input) = narrator.and_then(|narrator| narrator.child.stdin.as_mut()) {
             // If the narrator has just ended, the next narrator gets the line.
-            let line = if self.hostile.is_some() { household_line(number) } else { line(number) };
-            let _gone = writeln!(input, "{line}");
+            let _gone = writeln!(input, "{}", line(number));
         }
     }
 
@@ -405,9 +296,6 @@ impl World {
         if !self.daemon_epochs.contains(&scores.epoch) {
             self.daemon_epochs.push(scores.epoch);
             self.recovered(Role::Daemon);
-            if let Some(hostile) = &mut self.hostile {
-                hostile.fresh.clear();
-            }
         }
         let narrator = sequence::source_of_name(NARRATOR);
         let claims = scores.included().iter().filter(|claim| claim.source == narrator);
@@ -421,14 +309,6 @@ impl World {
             if other || claim.sequence > given || (claim.sequence < self.claimed && !late) {
                 println!("wrong claim {claim:?}: {given} given, {} claimed before", self.claimed);
                 self.tally.wrong_claims += 1;
-            }
-            if let Some(hostile) = &mut self.hostile {
-                // The first scores of a daemon may contain lines that its predecessor stored.
-                let known = self.seen.last().is_some_and(|seen| seen.epoch == scores.epoch);
-                let lines = usize::try_from(self.claimed).unwrap()..usize::try_from(claim.sequence).unwrap();
-                if known && !late {
-                    hostile.fresh.extend_from_slice(self.given.get(lines).unwrap_or_default());
-                }
             }
             self.narrator_epoch = Some(claim.epoch);
             self.claimed = self.claimed.max(claim.sequence);
@@ -486,216 +366,13 @@ impl World {
         }
     }
 
-    /// One hostile act, or a rename by the home.
-    fn intrude(&mut self) {
-        let what = self.rng.random_range(0..7);
-        let many = self.rng.random_range(1..20);
-        let place = self.rng.random_range(0..4);
-        let (given, claimed, epoch) = (self.given.len() as u64, self.claimed, self.narrator_epoch);
-        let alive = self.all_recovered();
-        let Some(hostile) = &mut self.hostile else { return };
-        hostile.counter += 1;
-        let (counter, now_ns) = (hostile.counter, clock::monotonic_ns());
-        let sentence = |text: &str| NarrationV1 {
-            observed_ns: now_ns,
-            observed_unix_ns: clock::unix_ns(),
-            ..NarrationV1::new(narration_kind::SENTENCE, text).unwrap()
-        };
-        let of = |name: &str, message: NarrationV1| NarrationV1 {
-            person_name: text::encode("name", name).unwrap(),
-            ..message
-        };
-        match what {
-            0 | 1 => {
-                // In the name of the current narrator, or of one that has ended.
-                let Some(epoch) = epoch else { return };
-                if hostile.epochs.last() != Some(&epoch) {
-                    hostile.epochs.push(epoch);
-                }
-                let ended = place == 3 && many > 10;
-                let epoch = if ended { hostile.epochs[many as usize % hostile.epochs.len()] } else { epoch };
-                let number = if ended { given + 1000 } else { [claimed + 1, given + 1, given + 1000, u64::MAX][place] };
-                let said = sentence(&format!("They hide in the {FORGED} {counter}."));
-                let source = sequence::source_of_name(NARRATOR);
-                hostile
-                    .forger
-                    .send(&NarrationV1 { source, epoch, sequence: number, ..of(RESIDENTS[0], said) })
-                    .unwrap();
-                hostile.tally.forged += 1;
-            }
-            2 => {
-                for source in 0..many {
-                    let said = of(RESIDENTS[place % 2], sentence(&format!("They dance {counter}.")));
-                    let source = 1_000_000 * counter + source;
-                    hostile.inventor.send(&NarrationV1 { source, epoch: 1, sequence: 1, ..said }).unwrap();
-                }
-                hostile.tally.sources += many;
-            }
-            3 => {
-                for person in 0..many {
-                    let said = sentence(&format!("They hide in the {INVENTED} {counter}."));
-                    let said = of(&format!("ghost {counter} {person}"), said);
-                    let name = (1_000_000 * counter, 1, person + 1);
-                    let (source, epoch, sequence) = name;
-                    hostile.inventor.send(&NarrationV1 { source, epoch, sequence, ..said }).unwrap();
-                }
-                hostile.tally.persons += many;
-            }
-            4 => {
-                // A sentence too long for a window, or nearly.
-                let (words, count) =
-                    if place < 2 { (330, &mut hostile.tally.costly) } else { (85, &mut hostile.tally.long) };
-                *count += 1;
-                let said = of(RESIDENTS[place % 2], sentence(&format!("They say {}.", "x9 ".repeat(words).trim())));
-                hostile
-                    .inventor
-                    .send(&NarrationV1 { source: 1_000_000 * counter, epoch: 1, sequence: 1, ..said })
-                    .unwrap();
-            }
-            5 => {
-                for number in 1..=40 * many {
-                    let said = of(RESIDENTS[place % 2], sentence(&format!("They dance {counter}.")));
-                    let source = 1_000_000 * counter;
-                    hostile.inventor.send(&NarrationV1 { source, epoch: 1, sequence: number, ..said }).unwrap();
-                }
-                hostile.tally.floods += 1;
-            }
-            // A killed daemon does not answer.
-            _ if !alive => {}
-            _ => {
-                let name = format!("{} the {counter}th", RESIDENTS[0]);
-                let question = PersonQuestion::Rename {
-                    id: format!("rename-{counter}"),
-                    who: hostile.name.clone(),
-                    name: name.clone(),
-                };
-                let answer = hostile.ask_about_persons(&question);
-                if answer.done && answer.kept {
-                    hostile.name = name;
-                    hostile.tally.renamed += 1;
-                }
-            }
-        }
-        if let Some(hostile) = &self.hostile {
-            hostile.forger.tick().unwrap();
-            hostile.inventor.tick().unwrap();
-        }
-    }
-
-    /// Asks a recovered daemon for its moment and status, and checks both.
-    fn check_moment(&mut self) {
-        if !self.all_recovered() {
-            return;
-        }
-        let Some(hostile) = &mut self.hostile else { return };
-        let moment = Moment::from_json(&hostile.moments.ask("{}", PATIENCE).unwrap()).unwrap();
-        let status = hostile.node.status_client().unwrap().ask(PATIENCE).unwrap();
-        hostile.status.insert(status.epoch, status);
-        hostile.tally.moments += 1;
-        let persons = hostile.ask_about_persons(&PersonQuestion::List).persons;
-        let numbers = RESIDENTS.map(person_number);
-        let residents = numbers.map(|number| persons.iter().find(|line| line.person == number).unwrap());
-        hostile.met |= residents.iter().all(|resident| resident.since_s.is_some());
-        for resident in residents {
-            let known = resident.since_s.is_some() && resident.presence != Presence::Gone;
-            assert!(known || !hostile.met, "a resident is forgotten: {resident:?}");
-            assert!(!resident.flags.iter().any(|flag| flag == "visitor"), "{resident:?}");
-        }
-        let renamed = residents[0].name.as_deref() == Some(hostile.name.as_str());
-        assert!(renamed || hostile.tally.renamed == 0, "{:?} is not {:?}", residents[0], hostile.name);
-
-        // The narrator's lines in this moment, by its claim, and those that must have a place.
-        let source = format!("{:016x}", sequence::source_of_name(NARRATOR));
-        let epoch = self.narrator_epoch.map(|epoch| format!("{epoch:016x}"));
-        let claim = moment.included.iter().find(|i| i.source == source && Some(&i.epoch) == epoch.as_ref());
-        let claimed = claim.map_or(0, |claim| usize::try_from(claim.sequence).unwrap()).min(self.given.len());
-        let before = usize::try_from(self.claimed).unwrap();
-        let newer = self.given.get(before..claimed).unwrap_or_default();
-        let current = self.daemon_epochs.last().is_some_and(|epoch| format!("{epoch:016x}") == moment.epoch);
-        let fresh: Vec<usize> = if current { hostile.fresh.iter().chain(newer).copied().collect() } else { Vec::new() };
-        for (resident, number) in RESIDENTS.iter().zip(numbers) {
-            let mut own: Vec<usize> = Vec::new();
-            for line in fresh.iter().copied().filter(|line| whose(*line).as_deref() == Some(resident)) {
-                if line % 40 == 7 {
-                    own.clear();
-                } else if !is_presence(line) {
-                    own.push(line);
-                }
-            }
-            let read: Vec<&str> =
-                moment.narration.iter().filter(|read| read.person == number).map(|read| read.text.as_str()).collect();
-            assert!(!read.iter().any(|text| text.contains(FORGED)), "what was forged is believed: {read:?}");
-            let line_of = |text: &&str| {
-                let line = text.trim_end_matches('.').rsplit(' ').next()?.parse().ok()?;
-                (*text == said(line)).then_some(line)
-            };
-            let honest: Vec<usize> = read.iter().filter_map(line_of).collect();
-            hostile.tally.shared_windows += u64::from(!honest.is_empty() && honest.len() < read.len());
-            // The successor of a killed narrator repeats unconfirmed lines, and lines without a name may take a resident's places.
-            let due = own.len().min(PLACES);
-            let by_fit = honest.iter().filter(|line| whose(**line).as_deref() != Some(*resident)).count();
-            let newest = &own[own.len() - due.saturating_sub(by_fit).max(due.min(1))..];
-            let kept = honest.len() >= due && newest.iter().all(|line| honest.contains(line));
-            assert!(kept, "{resident} was told of in {own:?}, and the window has {read:?}");
-        }
-
-        // Recomputed label scores equal the moment's, and room scores follow from label scores.
-        for number in moment.person_numbers() {
-            let alone = moment.of_person(number).ok().filter(|alone| !alone.narration.is_empty());
-            let Some(alone) = alone else { continue };
-            if !numbers.contains(&number) && !self.rng.random_bool(0.2) {
-                continue;
-            }
-            hostile.pipeline.intake().forget_person(PersonId(0));
-            let sentences = alone.narration.iter().map(|read| Sentence::new(&read.text).unwrap());
-            let observations: Vec<_> =
-                (1..).zip(sentences).map(|(number, said)| Observation::of(number, said)).collect();
-            let labels: Vec<String> =
-                hostile.pipeline.grounding().label_texts().iter().map(|text| (*text).to_owned()).collect();
-            let again = &hostile.pipeline.step(observations).unwrap().label_log_prob_nats;
-            for label in &alone.labels {
-                let at = labels.iter().position(|text| *text == label.label).unwrap();
-                let apart = (again[at] - label.log_prob_nats.unwrap()).abs();
-                assert!(apart <= TOLERANCE_NATS, "{}: {apart} nats from {:?}", label.label, alone.narration);
-            }
-            hostile.tally.scores_again += 1;
-        }
-        self.look();
-        let sent = self
-            .seen
-            .iter()
-            .rev()
-            .find(|seen| format!("{:016x}", seen.epoch) == moment.epoch && seen.sequence == moment.sequence);
-        if let (Some(seen), false) = (sent, moment.nobody_home) {
-            // For several persons, a room's score is the probability that at least one is there.
-            let alone =
-                |labels: &PersonLabels| Moment { labels: labels.labels.clone(), persons: Vec::new(), ..moment.clone() };
-            let each: Vec<Moment> = moment.persons.iter().map(alone).collect();
-            let each = if each.is_empty() { vec![moment.clone()] } else { each };
-            let mut free = vec![1.0; seen.log_score_nats.len()];
-            for own in &each {
-                let probability = own.explain(1).unwrap().scores.partition_probability;
-                free.iter_mut().zip(&probability).for_each(|(free, probability)| *free *= 1.0 - probability);
-            }
-            let anybody = free.iter().map(|free| 1.0 - free);
-            let apart = anybody.zip(&seen.log_score_nats).map(|(a, b)| (a - b.exp()).abs()).fold(0.0, f64::max);
-            let alone = &each[0].explain(1).unwrap().scores.partition_log_score_nats;
-            let alone = alone.iter().zip(&seen.log_score_nats).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-            let apart = if each.len() > 1 { apart } else { alone };
-            assert!(apart <= TOLERANCE_NATS, "a room's score is {apart} from what its labels come to");
-        }
-    }
-
     /// One kill of a random process at a random moment.
     fn cycle(&mut self) {
         self.tally.cycles += 1;
-        for _ in 0..self.rng.random_range(0..4) {
-            self.intrude();
-        }
         let roles = [Role::Daemon, Role::Planner, Role::Narrator];
         let role = roles[self.rng.random_range(0..3)];
         match self.rng.random_range(0..10) {
-            // Shortly after its start.
+            // At a random moment shortly after its start.
             0..4 => {
                 self.kill(role);
                 self.start(role);
@@ -724,7 +401,6 @@ impl World {
         if self.rng.random_bool(0.7) {
             self.go_on(Self::all_recovered, PATIENCE);
             assert!(self.all_recovered(), "not recovered within {PATIENCE:?}: {}", self.last_words(role));
-            self.check_moment();
         }
     }
 
@@ -743,13 +419,6 @@ impl World {
         let mut left = files_of(&self.domain);
         left.retain(|file| !self.own.contains(file));
         left
-    }
-}
-
-impl Hostile {
-    fn ask_about_persons(&self, question: &PersonQuestion) -> PersonAnswer {
-        let answer = self.persons.ask(&serde_json::to_string(question).unwrap(), PATIENCE).unwrap();
-        serde_json::from_str(&answer).unwrap()
     }
 }
 
@@ -808,19 +477,9 @@ fn number(variable: &str) -> Option<u64> {
 #[test]
 #[ignore = "full"]
 fn nothing_is_lost_wrong_or_stale_whoever_is_killed() {
-    survives(false);
-}
-
-#[test]
-#[ignore = "full"]
-fn strangers_take_nothing_from_a_household_whoever_is_killed() {
-    survives(true);
-}
-
-fn survives(household: bool) {
     let cycles = number("ROOMCAST_CHAOS_CYCLES");
     let seed = number("ROOMCAST_CHAOS_SEED").unwrap_or(1);
-    let mut world = World::new(seed, household);
+    let mut world = World::new(seed);
     for role in [Role::Daemon, Role::Planner, Role::Narrator] {
         world.start(role);
     }
@@ -841,23 +500,15 @@ fn survives(household: bool) {
         world.look();
         assert!(waiting.elapsed() < PATIENCE, "{} of {} lines are confirmed", world.claimed, world.given.len());
     }
-    world.check_moment();
     world.stop();
 
     let took_s = start.elapsed().as_secs_f64();
 
     // The history in the state database.
     let history = journal::look(&world.directory.path().join("state")).unwrap().observations;
-    let narrator = sequence::source_of_name(NARRATOR);
-    let honest = || history.iter().filter(|o| o.source == narrator);
-    let texts: HashSet<(Option<&str>, &str)> =
-        honest().filter_map(|o| Some((o.name.as_deref(), o.sentence()?))).collect();
-    let says = |number: &usize| if household { !is_presence(*number) } else { !leaves(*number) };
-    let name = |number: usize| whose(number).filter(|_| household);
-    let done = (0..world.next_line).filter(says);
-    let lost = done.filter(|number| !texts.contains(&(name(*number).as_deref(), said(*number).as_str()))).count();
-    let forged = history.iter().filter(|o| o.sentence().is_some_and(|text| text.contains(FORGED))).count();
-    let too_long = history.iter().filter(|o| o.sentence().is_some_and(|text| text.len() > 900)).count();
+    let texts: HashSet<&str> = history.iter().filter_map(|o| o.sentence()).collect();
+    let done = (0..world.next_line).filter(|number| !leaves(*number));
+    let lost = done.filter(|number| !texts.contains(said(*number).as_str())).count();
     let names: HashMap<_, _> = history.iter().enumerate().map(|(at, o)| (o.id(), at)).collect();
     let twice = history.len() - names.len();
 
@@ -879,8 +530,7 @@ fn survives(household: bool) {
                 }
             },
         };
-        // In a household, `check_moment` has compared them.
-        if household || !(index % every == 0 || (first_of_daemon && first < RECOMPUTED)) {
+        if !(index % every == 0 || (first_of_daemon && first < RECOMPUTED)) {
             continue;
         }
         first += usize::from(first_of_daemon);
@@ -910,13 +560,11 @@ fn survives(household: bool) {
     }
 
     // A participant killed while it joined is removed after 10 s, when it no longer counts as joining.
-    let strange = world.hostile.take().map(|hostile| (hostile.status, hostile.tally));
-    let cleaning = Instant::now();
     let node = world.observer.take().unwrap().node;
-    while !world.left_behind().is_empty() && cleaning.elapsed() < Duration::from_secs(40) {
+    let _clean = waited(Duration::from_secs(40), || {
         node.clean_up_dead();
-        std::thread::sleep(Duration::from_millis(200));
-    }
+        world.left_behind().is_empty().then_some(())
+    });
     drop(node);
     let left = world.left_behind();
     let tally = std::mem::take(&mut world.tally);
@@ -933,18 +581,6 @@ fn survives(household: bool) {
             ms(took_us.value_at_quantile(0.5)),
             ms(took_us.max())
         );
-    }
-    if let Some((status, strange)) = &strange {
-        let sum = |of: fn(&StatusResponseV1) -> u64| status.values().map(of).sum::<u64>();
-        let (dropped, costly, limited) = (sum(|s| s.forged), sum(|s| s.costly), sum(|s| s.limited));
-        println!("strangers: {strange:?}; known of as forged {dropped}, costly {costly}, limited {limited}");
-        assert_eq!((forged, too_long), (0, 0), "in the journal: what was forged, what no window holds");
-        let reached = [strange.sources, strange.persons, strange.floods, strange.renamed, strange.shared_windows];
-        // In a short run, chance may leave out a kind of act or kill the daemon that counted it.
-        let is_all = reached.iter().all(|count| *count > 0) && dropped > 0 && costly > 0;
-        let is_some = reached.iter().any(|count| *count > 0) && dropped + costly > 0;
-        assert!(is_some && (is_all || tally.cycles < 200), "nothing happened");
-        compared += strange.scores_again;
     }
     assert_eq!((lost, twice), (0, 0), "narrations lost, narrations taken twice");
     assert_eq!((tally.wrong_claims, tally.stale_decisions), (0, 0), "wrong claims, stale decisions");

@@ -5,13 +5,13 @@ use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use roomcast_ipc::raw::StatusResponseV1;
 use roomcast_services::daemon::journal;
 use rustix::process::{Pid, Signal, geteuid, kill_process};
 
-use crate::eventually::eventually;
+use crate::eventually::{eventually, waited};
 use crate::skipped::skipped;
 use crate::world::{Process, World};
 
@@ -54,11 +54,7 @@ fn a_log_that_nobody_reads_holds_up_nothing() {
 /// Whether the process ran until SIGTERM. Otherwise it ends with an error message, never by a signal.
 fn ends_in_words(mut command: Command, what: &str) -> bool {
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-    let start = Instant::now();
-    while child.try_wait().unwrap().is_none() && start.elapsed() < Duration::from_millis(1500) {
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    let ran = child.try_wait().unwrap().is_none();
+    let ran = waited(Duration::from_millis(1500), || child.try_wait().unwrap()).is_none();
     if ran {
         kill_process(Pid::from_raw(child.id().cast_signed()).unwrap(), Signal::TERM).unwrap();
     }

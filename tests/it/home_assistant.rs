@@ -8,7 +8,7 @@ use std::net::TcpStream;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use roomcast_ipc::raw::{DecisionV1, NarrationV1, action};
 use roomcast_ipc::{Domain, Subscriber};
@@ -16,8 +16,8 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket};
 
-use crate::eventually::within;
-use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
+use crate::eventually::{waited, within};
+use crate::mosquitto::{Mosquitto, free_port};
 use crate::skipped::skipped;
 
 /// The first start of Home Assistant installs its dependencies.
@@ -46,12 +46,9 @@ fn automations(page: &str) -> String {
 
 fn terminate(child: &mut Child) {
     let _sent = kill_process(Pid::from_raw(child.id().cast_signed()).unwrap(), Signal::TERM);
-    let start = Instant::now();
-    while child.try_wait().unwrap().is_none() {
-        if start.elapsed() > Duration::from_secs(60) {
-            let _killed = child.kill();
-        }
-        std::thread::sleep(Duration::from_millis(50));
+    if waited(Duration::from_secs(60), || child.try_wait().unwrap()).is_none() {
+        let _killed = child.kill();
+        let _reaped = child.wait();
     }
 }
 
@@ -314,12 +311,8 @@ fn works(when: &str, home: &HomeAssistant, token: &str, heard: &Subscriber<Narra
     eventually(&format!("a sensor is narrated {when}"), || {
         open = !open;
         talk.turn("fridge_door", open);
-        std::thread::sleep(Duration::from_millis(800));
-        let mut said = Vec::new();
-        while let Some(narration) = heard.receive().unwrap() {
-            said.push(narration.text().to_owned());
-        }
-        said.iter().any(|text| text == "They open the fridge.").then_some(())
+        let is_narrated = || heard.receive().unwrap().filter(|narration| narration.text() == "They open the fridge.");
+        waited(Duration::from_millis(800), is_narrated)
     });
     eventually(&format!("the forecast is there {when}"), || {
         let state = talk.state("sensor.roomcast_kuche_now")?;
@@ -336,11 +329,8 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
     };
     let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
     let folder = directory.path();
-    let Some(mut broker) = Mosquitto::start(free_port(), tempfile::tempdir().unwrap(), ANYBODY) else {
-        skipped(NO_BROKER);
-        return;
-    };
-    let mut home = HomeAssistant::new(program, &folder.join("config"), broker.port);
+    let Some((mut broker, port)) = Mosquitto::ready() else { return };
+    let mut home = HomeAssistant::new(program, &folder.join("config"), port);
     home.start();
     let token = home.token();
     let token_file = folder.join("token");
@@ -388,7 +378,7 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
     assert!(refused.contains("refuses the token"), "{refused}");
 
     // Set-up and start follow the manual.
-    let (target, at) = (folder.join("home").display().to_string(), format!("mqtt://127.0.0.1:{}", broker.port));
+    let (target, at) = (folder.join("home").display().to_string(), format!("mqtt://127.0.0.1:{port}"));
     let init = [
         "init",
         "--yes",

@@ -20,14 +20,11 @@ mod household;
 mod household_day;
 mod influence;
 mod limits;
-#[path = "../support/lived_day.rs"]
-mod lived_day;
+mod manual;
 #[path = "../support/mosquitto.rs"]
 mod mosquitto;
 mod mqtt;
 mod processes;
-#[path = "../support/robot_map.rs"]
-mod robot_map;
 mod scoring;
 mod setup;
 mod shapes;

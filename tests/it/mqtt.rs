@@ -1,13 +1,13 @@
 //! Real processes and a real broker. The bridge: its topics over restarts of daemon, broker and bridge, and after map changes. The robot: the real
-//! planner drives a simulated Valetudo, also over a day with a person.
+//! planner drives a simulated Valetudo. `services/src/vacuum/driver/tests.rs` plays its day with a person.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs::File;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::raw::{DecisionV1, ForecastV1, NarrationV1, decision_flags};
+use roomcast_ipc::raw::{DecisionV1, decision_flags};
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::Packet;
 use rumqttc::v5::{Client, Event, MqttOptions};
@@ -17,11 +17,8 @@ use serde_json::Value;
 use roomcast_cli::exit_code;
 
 use crate::eventually::eventually;
-use crate::fake_valetudo::{Doing, FakeValetudo};
-use crate::lived_day::{HOURS, ROOM_S, mean, person_at, plain_schedules, segments};
-use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
-use crate::robot_map::robot_map;
-use crate::skipped::skipped;
+use crate::fake_valetudo::FakeValetudo;
+use crate::mosquitto::{ANYBODY, Mosquitto};
 use crate::world::{Process, World};
 
 /// Another program's entity with our node's name.
@@ -94,18 +91,9 @@ fn is(kept: &BTreeMap<String, String>, topic: &str, value: &str) -> bool {
     kept.get(topic).is_some_and(|payload| payload == value)
 }
 
-fn broker() -> Option<Mosquitto> {
-    let broker = Mosquitto::start(free_port(), tempfile::tempdir().unwrap(), ANYBODY);
-    if broker.is_none() {
-        skipped(NO_BROKER);
-    }
-    broker
-}
-
 #[test]
 fn what_is_known_stands_at_the_broker_over_restarts_and_goes_with_its_rooms() {
-    let Some(mut broker) = broker() else { return };
-    let port = broker.port;
+    let Some((mut broker, port)) = Mosquitto::ready() else { return };
     broker.publish(&[
         (FOREIGN, r#"{"name": "somebody else's", "state_topic": "x"}"#.into(), true),
         // An earlier run left this room, which is in no map now.
@@ -140,6 +128,8 @@ fn what_is_known_stands_at_the_broker_over_restarts_and_goes_with_its_rooms() {
         let config = at(&now, &config_of(entity));
         assert!(now.contains_key(config["state_topic"].as_str().unwrap()), "{entity}: {config}");
     }
+    broker.publish(&[("roomcast/persons/ada/place", "main room".into(), false)]);
+    kept_with(port, "the selected place is believed", |kept| at(kept, "roomcast/persons/ada")["likely"] == "main-room");
     let now = kept_with(port, "what an earlier run left goes", |kept| !kept.contains_key("roomcast/rooms/attic"));
     assert!(now.contains_key(FOREIGN) && is(&now, NEIGHBOUR, "keep me"));
 
@@ -230,15 +220,15 @@ fn nothing_is_told_faster_than_the_interval_however_much_happens() {
     const INTERVAL_S: f64 = 3.0;
     /// The greatest delay of one message relative to the next, on a loaded machine.
     const LATE_S: f64 = 2.4;
-    let Some(broker) = broker() else { return };
+    let Some((_broker, port)) = Mosquitto::ready() else { return };
     let mut world = world("rate");
     let config = world.path("roomcast.toml");
     std::fs::write(config, format!("[bridge]\ninterval_s = {INTERVAL_S:?}\n")).unwrap();
     start_daemon(&mut world, "state", &[]);
     let told = Arc::new(Mutex::new(Told::new()));
-    watch(broker.port, Arc::clone(&told));
-    start_bridge(&mut world, broker.port);
-    kept_with(broker.port, "the bridge is at work", |kept| kept.contains_key("roomcast/rooms/kitchen"));
+    watch(port, Arc::clone(&told));
+    start_bridge(&mut world, port);
+    kept_with(port, "the bridge is at work", |kept| kept.contains_key("roomcast/rooms/kitchen"));
     for round in 0..5 {
         let places = ["fridge", "bed", "stove", "sofa", "sink"];
         let lines: Vec<_> = places.iter().map(|thing| format!("They walk to the {thing}.")).collect();
@@ -305,17 +295,8 @@ fn a_wrong_set_up_is_one_clear_error() {
 /// The simulated robot at the broker, in its own thread, with a faster clock.
 struct Fake {
     robot: Arc<Mutex<FakeValetudo>>,
-    worked: Arc<Mutex<Vec<Worked>>>,
     stop: Arc<Mutex<bool>>,
     thread: Option<std::thread::JoinHandle<()>>,
-}
-
-/// Work in a segment: start and duration by this machine's clock.
-#[derive(Debug, Clone)]
-struct Worked {
-    segment: String,
-    since: Instant,
-    time: Duration,
 }
 
 const SPEED: f64 = 60.0;
@@ -323,13 +304,8 @@ const FAKE: &str = "valetudo/fake";
 
 impl Fake {
     fn start(port: u16, robot: FakeValetudo) -> Self {
-        Self::faster(port, robot, SPEED)
-    }
-
-    fn faster(port: u16, robot: FakeValetudo, speed: f64) -> Self {
         let (robot, stop) = (Arc::new(Mutex::new(robot)), Arc::new(Mutex::new(false)));
-        let worked = Arc::new(Mutex::new(Vec::new()));
-        let (own, own_stop, own_worked) = (Arc::clone(&robot), Arc::clone(&stop), Arc::clone(&worked));
+        let (own, own_stop) = (Arc::clone(&robot), Arc::clone(&stop));
         let live = move || {
             let mut options = MqttOptions::new("fake-robot", "127.0.0.1", port);
             options.set_keep_alive(Duration::from_secs(5));
@@ -340,11 +316,7 @@ impl Fake {
                 let mut robot = own.lock().unwrap();
                 let (since, now) = (passed, Instant::now());
                 passed = now;
-                if let Some((segment, _)) = robot.job.as_ref().filter(|_| robot.doing == Doing::Cleaning) {
-                    let (segment, time) = (segment.clone(), now - since);
-                    own_worked.lock().unwrap().push(Worked { segment, since, time });
-                }
-                robot.pass((now - since).as_secs_f64() * speed);
+                robot.pass((now - since).as_secs_f64() * SPEED);
                 let mut again = false;
                 match event {
                     Ok(Ok(Event::Incoming(Packet::ConnAck(_)))) => {
@@ -357,6 +329,7 @@ impl Fake {
                     }
                     Ok(Err(_)) => {
                         connected = false;
+                        // Until the robot tries again.
                         std::thread::sleep(Duration::from_millis(50));
                     }
                     _ => {}
@@ -368,7 +341,7 @@ impl Fake {
                 }
             }
         };
-        Self { robot, worked, stop, thread: Some(std::thread::spawn(live)) }
+        Self { robot, stop, thread: Some(std::thread::spawn(live)) }
     }
 
     fn look<T>(&self, at: impl Fn(&FakeValetudo) -> T) -> T {
@@ -398,8 +371,7 @@ const SEGMENTS: [(&str, &str, f64); 3] = [("1", "Wohnen", 180.0), ("2", "Küche"
 #[test]
 #[ignore = "full"]
 fn a_robot_over_a_real_broker_obeys_and_its_word_counts_over_lost_orders_an_error_and_a_restarted_broker() {
-    let Some(mut broker) = broker() else { return };
-    let port = broker.port;
+    let Some((mut broker, port)) = Mosquitto::ready() else { return };
     let mut world = world("robot");
     let config = home_with_a_robot(&world);
     let mut robot = FakeValetudo::new(FAKE, &SEGMENTS);
@@ -448,14 +420,14 @@ fn a_robot_over_a_real_broker_obeys_and_its_word_counts_over_lost_orders_an_erro
 
 #[test]
 fn without_obey_a_robot_is_told_nothing() {
-    let Some(broker) = broker() else { return };
+    let Some((_broker, port)) = Mosquitto::ready() else { return };
     let mut world = world("rehearsal");
     let config = home_with_a_robot(&world);
-    let fake = Fake::start(broker.port, FakeValetudo::new(FAKE, &SEGMENTS));
+    let fake = Fake::start(port, FakeValetudo::new(FAKE, &SEGMENTS));
     start_daemon(&mut world, "state", &[]);
     world.start(&["planner", "--config", &config]);
     let shown = world.path("shown");
-    let broker_at = format!("mqtt://127.0.0.1:{}", broker.port);
+    let broker_at = format!("mqtt://127.0.0.1:{port}");
     let mut command = world.command(&["robot", "--config", &config, "--mqtt", &broker_at]);
     let child = command.stdout(File::create(&shown).unwrap()).stderr(Stdio::null()).spawn().unwrap();
     world.children.push(Process { child, log: shown.clone() });
@@ -473,12 +445,12 @@ fn without_obey_a_robot_is_told_nothing() {
 /// Before the robot's first message, the driver reports the missing message, not missing segments.
 #[test]
 fn of_a_robot_that_has_not_spoken_it_is_said_where_it_is_listened_to_and_what_to_do() {
-    let Some(broker) = broker() else { return };
+    let Some((_broker, port)) = Mosquitto::ready() else { return };
     let mut world = world("silent");
     let config = world.path("robot.toml");
     std::fs::write(&config, format!("[robot]\ntopic = \"{FAKE}\"\n")).unwrap();
     start_daemon(&mut world, "state", &[]);
-    let broker_at = format!("mqtt://127.0.0.1:{}", broker.port);
+    let broker_at = format!("mqtt://127.0.0.1:{port}");
     let driver = world.start(&["robot", "--config", config.to_str().unwrap(), "--mqtt", &broker_at]);
     let log = world.children[driver].log.clone();
     let said = |part: &str| {
@@ -489,243 +461,9 @@ fn of_a_robot_that_has_not_spoken_it_is_said_where_it_is_listened_to_and_what_to
         assert!(silent.contains(part), "{part} in {silent}");
     }
     assert!(!silent.contains("segment"), "{silent}");
-    let _fake = Fake::start(broker.port, FakeValetudo::new(FAKE, &SEGMENTS));
+    let _fake = Fake::start(port, FakeValetudo::new(FAKE, &SEGMENTS));
     said("the robot speaks");
     // The segments "Küche" and "Bad" match rooms of the included studio; it has no living room.
     let all = said("a room that the robot cannot do");
     assert!(all.contains("a room that the robot can do") && all.contains("no segment of the robot's map"), "{all}");
-}
-
-/// Speed of the day.
-const DAY_SPEED: f64 = 450.0;
-/// After an interrupted room, the driver waits this long for the robot.
-const SETTLING_S: f64 = 3.0;
-/// In seconds of the day: the period of the person's sensor, the broker's absence, the time that the robot is stuck.
-const SENSED_S: f64 = 600.0;
-const AWAY_S: f64 = 600.0;
-const STUCK_S: f64 = 900.0;
-/// The rooms of the day in order, with the ids of the import.
-const FLAT: [&str; 4] = ["bedroom-1", "hallway-2", "kitchen-3", "home-office-4"];
-const WHERE: &str = "home/ada/room";
-const FRIDGE: &str = "home/fridge/state";
-const LIGHTS: [&str; 4] = ["home/light/bedroom", "home/light/hallway", "home/light/kitchen", "home/light/home_office"];
-const LIT: &str = "They turn on the light in the";
-
-/// Topic, payload, retain.
-type SensorMessage = (&'static str, String, bool);
-
-/// A home with the robot's map, a sensor for Ada's room, a sensor at the fridge, and lights. All durations are shortened as much as the day.
-fn lived_home(world: &World, port: u16) -> String {
-    let folder = world.directory.path();
-    let (map, scene, rules, config) =
-        (folder.join("map.json"), folder.join("home.json"), folder.join("rules.toml"), folder.join("home.toml"));
-    let [(one, bedroom, _), (two, hall, _), (three, kitchen, _), (four, office, _)] = segments(ROOM_S);
-    let rooms = [
-        (one, bedroom, [100, 100, 80, 80]),
-        (two, hall, [100, 184, 248, 30]),
-        (three, kitchen, [184, 100, 80, 80]),
-        (four, office, [268, 100, 80, 80]),
-    ];
-    std::fs::write(&map, robot_map(&rooms)).unwrap();
-    let mut import = Command::new(env!("CARGO_BIN_EXE_roomcast"));
-    import.args(["scene", "import", "--format", "valetudo", "--furnish", "typical"]).arg(&map).arg("--out").arg(&scene);
-    let output = import.output().unwrap();
-    assert!(output.status.success(), "{output:?}");
-    let text = format!(
-        "[[rule]]\ntopic = {WHERE:?}\nwhen = \"away\"\npresence = \"away\"\nperson = \"ada\"\nrepeats = true\n\
-         [[rule]]\ntopic = {WHERE:?}\nunless = [\"away\"]\npresence = \"present\"\nroom = \"{{value}}\"\nperson = \"ada\"\nrepeats = true\n\
-         [[rule]]\ntopic = {FRIDGE:?}\nwhen = \"on\"\nsay = \"They open the fridge.\"\nperson = \"ada\"\nrepeats = true\n\
-         [[rule]]\ntopic = \"home/light/+\"\nwhen = \"on\"\nsay = \"{LIT} {{1}}.\"\nperson = \"ada\"\n"
-    );
-    std::fs::write(&rules, text).unwrap();
-    let real = |day_s: f64| day_s / DAY_SPEED;
-    let text = format!(
-        "[scene]\npath = {scene:?}\n[daemon]\nstate = {:?}\n[narrator]\nname = \"home\"\n\
-         [mqtt]\nbroker = \"mqtt://127.0.0.1:{port}\"\nrules = {rules:?}\n\
-         [forecast]\nobject_s = {:?}\nstay_s = {:?}\naction_s = {:?}\naway_s = {:?}\n\
-         [planner]\nknow_s = 0.0\nroom_time_s = {:?}\nround_s = {:?}\nreports = \"always\"\nreport_timeout_s = 10.0\n\
-         interrupt_after_s = {:?}\n[robot]\ntopic = {FAKE:?}\nstart_s = 1.0\nleast_s = 0.1\n",
-        folder.join("state"),
-        real(40.0),
-        real(120.0),
-        real(2.0),
-        real(4.0 * 3600.0),
-        real(ROOM_S) + SETTLING_S,
-        real(3600.0 * (HOURS.1 - HOURS.0) as f64),
-        real(60.0),
-    );
-    std::fs::write(&config, text).unwrap();
-    config.to_str().unwrap().to_owned()
-}
-
-#[derive(Debug, Default)]
-struct Lived {
-    shared_min: f64,
-    worked_min: f64,
-    /// Completely cleaned segments, the orders, and the number of each until the broker returned.
-    cleaned: Vec<String>,
-    orders: Vec<String>,
-    before_restart: (usize, usize),
-    orders_lost: bool,
-    /// Decisions with their hour.
-    decided: Vec<String>,
-    /// Hour and reason of the decision that gave up the stuck robot's room.
-    stuck: Option<(f64, String)>,
-    most_covered: u32,
-    /// Sensor messages from the broker's absence, and narrations of the light turned on during it.
-    held: usize,
-    lit: BTreeSet<u64>,
-    /// The share of checks after the restart, with the person at home, in which the forecast had them in their room.
-    known: f64,
-}
-
-/// A day with the whole chain in processes: sensors, broker, narrator, daemon, planner, driver, simulated robot. The robot ignores its first two
-/// orders. While it ends its first room, the broker stops; it returns without retained messages. In between the sensors queue their messages, and
-/// send them in order when the broker is back. In a later room the robot gets stuck, until a person carries it home.
-fn live() -> Lived {
-    let mut broker = broker().unwrap();
-    let port = broker.port;
-    let mut world = world("lived-day");
-    let config = lived_home(&world, port);
-    let mut robot = FakeValetudo::new(FAKE, &segments(ROOM_S));
-    robot.orders_ignored = 2;
-    let fake = Fake::faster(port, robot, DAY_SPEED);
-    world.start(&["daemon", "--config", &config]);
-    world.start(&["narrate", "--mqtt", "--config", &config]);
-    world.start(&["robot", "--obey", "--config", &config]);
-    let node = world.domain.open("test").unwrap();
-    let (decisions, forecasts) = (node.subscriber::<DecisionV1>().unwrap(), node.subscriber::<ForecastV1>().unwrap());
-    let narrations = node.subscriber::<NarrationV1>().unwrap();
-    let sense = |place: Option<usize>, is_new: bool| {
-        let mut said: Vec<SensorMessage> = vec![(WHERE, place.map_or("away", |room| FLAT[room]).to_owned(), true)];
-        if is_new && place == Some(2) {
-            said.push((FRIDGE, "on".to_owned(), false));
-        }
-        said
-    };
-    let mut newest = ForecastV1::default();
-    // The first horizon is now.
-    let mut likely = |place: usize| {
-        newest = forecasts.newest().unwrap().unwrap_or(newest);
-        (0..).map_while(|room| newest.room(room)).any(|(room, chances)| room == FLAT[place] && chances[0] > 0.5)
-    };
-    let mut place = person_at(HOURS.0 as f64);
-    eventually("the forecast has the person in their room", || {
-        broker.publish(&sense(place, false));
-        std::thread::sleep(Duration::from_millis(300));
-        likely(place.unwrap()).then_some(())
-    });
-    // If a light is on at its first report, it may have been on before, so no event is narrated.
-    broker.publish(&LIGHTS.map(|light| (light, "off".to_owned(), true)));
-    world.start(&["planner", "--config", &config]);
-    let begin = Instant::now();
-    let hour_of = |at: Instant| HOURS.0 as f64 + (at - begin).as_secs_f64() * DAY_SPEED / 3600.0;
-    let (mut lived, mut sensed_at, mut home, mut known) = (Lived::default(), HOURS.0 as f64, 0, 0);
-    let (mut gone_at, mut is_back, mut stuck_at) = (None, false, None);
-    let mut is_carried = false;
-    // Sensor messages that wait for a broker.
-    let (mut unsaid, mut is_lit) = (Vec::<SensorMessage>::new(), false);
-    loop {
-        let hour = hour_of(Instant::now());
-        if hour >= HOURS.1 as f64 {
-            break;
-        }
-        std::thread::sleep(Duration::from_millis(20));
-        while let Some(decision) = decisions.receive().unwrap() {
-            lived.decided.push(format!("{hour:.2} {} {}: {}", decision.action, decision.to(), decision.reason()));
-            lived.most_covered = lived.most_covered.max(decision.covered.count_ones());
-            let cleaned: BTreeSet<String> = fake.look(|robot| robot.cleaned.iter().cloned().collect());
-            assert!(
-                decision.covered.count_ones() as usize <= cleaned.len(),
-                "done is what the robot has done: {decision:?}"
-            );
-            if lived.stuck.is_none() && decision.reason().contains("Wheel lost floor contact") {
-                assert!(decision.has(decision_flags::REPORTED), "{decision:?}");
-                lived.stuck = Some((hour, decision.reason().to_owned()));
-            }
-        }
-        while let Some(narration) = narrations.receive().unwrap() {
-            // The narrator resends unconfirmed events, so they are counted by sequence number.
-            lived.lit.extend(narration.text().starts_with(LIT).then_some(narration.sequence));
-        }
-        let is_away = gone_at.is_some() && !is_back;
-        let now = person_at(hour);
-        if now != place || (hour - sensed_at) * 3600.0 >= SENSED_S {
-            unsaid.extend(sense(now, now != place));
-            (place, sensed_at) = (now, hour);
-        }
-        let is_half_over = gone_at.is_some_and(|gone| (hour - gone) * 3600.0 >= 0.5 * AWAY_S);
-        if let Some(room) = place.filter(|_| is_away && is_half_over && !is_lit) {
-            unsaid.push((LIGHTS[room], "on".to_owned(), true));
-            is_lit = true;
-        }
-        if is_away {
-            lived.held = unsaid.len();
-        } else if !unsaid.is_empty() {
-            broker.publish(&unsaid);
-            unsaid.clear();
-        }
-        if let Some(room) = place.filter(|_| is_back) {
-            home += 1;
-            known += u32::from(likely(room));
-        }
-        let left_s = fake.look(|robot| robot.job.as_ref().map(|(_, left_s)| *left_s));
-        match (gone_at, stuck_at) {
-            (None, _) if left_s.is_some_and(|left_s| left_s < 0.5 * AWAY_S) => {
-                broker.stop();
-                gone_at = Some(hour);
-                let mut robot = fake.robot.lock().unwrap();
-                let at_work = robot.job.as_ref().map(|(segment, _)| segment.clone());
-                let next = segments(ROOM_S).into_iter().map(|(segment, ..)| segment.to_owned());
-                let next = next.into_iter().find(|segment| Some(segment) != at_work.as_ref());
-                robot.sticks = next.map(|next| (next, f64::INFINITY));
-            }
-            (Some(gone), _) if !is_back && (hour - gone) * 3600.0 >= AWAY_S => {
-                broker = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY).unwrap();
-                is_back = true;
-                lived.before_restart = fake.look(|robot| (robot.cleaned.len(), robot.orders.len()));
-            }
-            (_, None) if fake.look(|robot| robot.doing == Doing::Error) => stuck_at = Some(hour),
-            (_, Some(stuck)) if !is_carried && (hour - stuck) * 3600.0 >= STUCK_S => {
-                is_carried = true;
-                fake.robot.lock().unwrap().carry_home();
-            }
-            _ => {}
-        }
-    }
-    let minutes = |worked: &Worked| worked.time.as_secs_f64() * DAY_SPEED / 60.0;
-    let all = fake.worked.lock().unwrap().clone();
-    let is_shared = |worked: &&Worked| {
-        let person = person_at(hour_of(worked.since));
-        person.is_some_and(|room| segments(ROOM_S)[room].0 == worked.segment)
-    };
-    let day = all.iter().filter(|worked| worked.since >= begin);
-    lived.worked_min = day.clone().map(minutes).sum();
-    lived.shared_min = day.filter(is_shared).map(minutes).fold(0.0, |sum, minutes| sum + minutes);
-    (lived.cleaned, lived.orders, lived.orders_lost) =
-        fake.look(|robot| (robot.cleaned.clone(), robot.orders.clone(), robot.orders_ignored == 0));
-    lived.known = f64::from(known) / f64::from(home.max(1));
-    lived
-}
-
-#[test]
-#[ignore = "full"]
-fn over_a_day_with_a_person_and_trouble_the_robot_shares_less_than_a_timer_and_does_every_room() {
-    if broker().is_none() {
-        return;
-    }
-    let (own, plain_mean) = (live(), mean(&plain_schedules()));
-    println!("{own:#?}\nminutes shared: {:.1}; plain schedules, mean {plain_mean:.1}", own.shared_min);
-    assert!(own.shared_min < plain_mean, "{own:?}");
-    // Each room is free for long at some time of the day.
-    let rooms: BTreeSet<&String> = own.cleaned.iter().collect();
-    assert_eq!((rooms.len(), own.most_covered), (FLAT.len(), 4), "{own:?}");
-    assert!(own.orders_lost, "{own:?}");
-    let (cleaned, orders) = own.before_restart;
-    assert!(own.cleaned.len() > cleaned && own.orders.len() > orders, "after the broker's restart it obeys: {own:?}");
-    assert!(own.known > 0.8, "after the broker's restart the sensors are heard: {own:?}");
-    assert!(own.held > 0, "no sensor had anything to say while the broker was away: {own:?}");
-    assert_eq!(own.lit.len(), 1, "the light that was turned on meanwhile is narrated, and once: {own:?}");
-    let (_, why) = own.stuck.as_ref().unwrap_or_else(|| panic!("no decision says that it is stuck: {own:?}"));
-    assert!(why.contains("could not do the"), "{why}");
 }

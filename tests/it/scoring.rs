@@ -552,6 +552,7 @@ fn contexts_grow_for_longer_prompts_and_score_them_alike() {
     let mut whole = Scorer::new(single_precision_model(&LlamaOptions { cache: CacheType::F32, ..options(8) }));
     let limit = whole.model().info().context_tokens;
     whole.reserve(limit).unwrap();
+    grown.reserve(1).unwrap();
     let least = grown.model().positions();
     assert!((least as usize) < limit && whole.model().positions() as usize == limit);
     let binding = BindingSequence::default();

@@ -17,8 +17,7 @@ use tungstenite::Message;
 use roomcast_cli::exit_code;
 
 use crate::eventually::eventually;
-use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
-use crate::robot_map::robot_map;
+use crate::mosquitto::{ANYBODY, Mosquitto, free_port};
 use crate::skipped::skipped;
 
 const ROBOT: &str = "valetudo/rocky";
@@ -53,6 +52,19 @@ fn kept() -> Vec<(String, String, bool)> {
     states.into_iter().chain(robot).collect()
 }
 
+/// A Valetudo map of rectangular rooms: number, name, and x, y, width and height in pixels of 5 cm.
+fn robot_map(rooms: &[(&str, &str, [i32; 4])]) -> String {
+    let block = |(number, name, [x, y, wide, high]): &(&str, &str, [i32; 4])| {
+        let runs: Vec<i32> = (*y..y + high).flat_map(|row| [*x, row, *wide]).collect();
+        serde_json::json!({"__class": "MapLayer", "type": "segment", "metaData": {"segmentId": number, "name": name, "active": false},
+            "compressedPixels": runs})
+    };
+    let layers: Vec<_> = rooms.iter().map(block).collect();
+    serde_json::json!({"__class": "ValetudoMap", "metaData": {"version": 2}, "size": {"x": 5120, "y": 5120}, "pixelSize": 5,
+        "layers": layers, "entities": []})
+    .to_string()
+}
+
 /// A robot's map: kitchen, living room and hall.
 fn flat() -> String {
     robot_map(&[
@@ -81,11 +93,7 @@ impl Home {
             std::fs::write(storage.join(file), text).unwrap();
         }
         std::fs::write(directory.path().join("map.json"), flat()).unwrap();
-        let port = free_port();
-        let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-            skipped(NO_BROKER);
-            return None;
-        };
+        let (broker, port) = Mosquitto::ready()?;
         let domain =
             Domain::new(directory.path().join("d"), &format!("{name}-{}", std::process::id() % 100_000)).unwrap();
         let home = Self { directory, domain, port, broker: Some(broker), children: Vec::new() };
@@ -338,15 +346,8 @@ fn areas_are_the_rooms_that_bear_their_names() {
     assert!(text(finding(&findings, "rules"), "found").contains("names the room \"gang\""), "{findings:#?}");
 }
 
-struct Mistake {
-    name: &'static str,
-    make: fn(&mut Home),
-    check: &'static str,
-    verdict: &'static str,
-    found: &'static str,
-    remedy: &'static str,
-    code: u8,
-}
+/// A name, the mistake, the check that finds it, and its finding and remedy.
+type Mistake = (&'static str, fn(&mut Home), &'static str, &'static str, &'static str);
 
 /// A server that speaks no MQTT.
 fn web_server() -> u16 {
@@ -380,215 +381,111 @@ fn password(home: &mut Home, wrong: bool) -> bool {
     true
 }
 
-static MISTAKES: [Mistake; 35] = [
-    Mistake {
-        name: "the broker's port",
-        make: |home| home.edit("roomcast.toml", &home.port.to_string(), &free_port().to_string()),
-        check: "broker",
-        verdict: "wrong",
-        found: "no broker answers at 127.0.0.1:",
-        remedy: "systemctl start mosquitto), or correct its address (mqtt.broker)",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "the broker's host",
-        make: |home| home.edit("roomcast.toml", "127.0.0.1", "no-such-host.invalid"),
-        check: "broker",
-        verdict: "wrong",
-        found: "no broker answers at no-such-host.invalid:",
-        remedy: "correct its address (mqtt.broker)",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a web server for a broker",
-        make: |home| home.edit("roomcast.toml", &home.port.to_string(), &web_server().to_string()),
-        check: "broker",
-        verdict: "wrong",
-        found: "is no MQTT 5 broker",
-        remedy: "give the port of an MQTT 5 broker",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "the password",
-        make: |home| assert!(password(home, true), "mosquitto_passwd is not there"),
-        check: "broker",
-        verdict: "wrong",
-        found: "refuses the login",
-        remedy: "user name and password, a line each, into the file that mqtt.credentials names",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a password that everybody can read",
-        make: |home| assert!(password(home, false), "mosquitto_passwd is not there"),
-        check: "broker",
-        verdict: "limited",
-        found: "everybody on this machine can read its password",
-        remedy: "chmod 600",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a topic",
-        make: |home| {
-            home.edit("home.rules.toml", "binary_sensor/living_room_motion/", "binary_sensor/livingroom_motion/")
-        },
-        check: "topics",
-        verdict: "wrong",
-        found: "listens to homeassistant/binary_sensor/livingroom_motion/state, where nothing is said",
-        remedy: "write topic = \"homeassistant/binary_sensor/living_room_motion/state\"",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "no state at the broker",
-        make: |home| {
+static MISTAKES: [(&str, u8, &[Mistake]); 4] = [
+    ("wrong", exit_code::CHECK, &WRONG),
+    ("limited", exit_code::OK, &LIMITED),
+    ("limited", exit_code::CHECK, &OPEN),
+    ("wrong", exit_code::CONFIG, &CONFIGURATION),
+];
+
+/// Faults.
+const WRONG: [Mistake; 26] = [
+    (
+        "the broker's port",
+        |home| home.edit("roomcast.toml", &home.port.to_string(), &free_port().to_string()),
+        "broker",
+        "no broker answers at 127.0.0.1:",
+        "systemctl start mosquitto), or correct its address (mqtt.broker)",
+    ),
+    (
+        "the broker's host",
+        |home| home.edit("roomcast.toml", "127.0.0.1", "no-such-host.invalid"),
+        "broker",
+        "no broker answers at no-such-host.invalid:",
+        "correct its address (mqtt.broker)",
+    ),
+    (
+        "a web server for a broker",
+        |home| home.edit("roomcast.toml", &home.port.to_string(), &web_server().to_string()),
+        "broker",
+        "is no MQTT 5 broker",
+        "give the port of an MQTT 5 broker",
+    ),
+    (
+        "the password",
+        |home| assert!(password(home, true), "mosquitto_passwd is not there"),
+        "broker",
+        "refuses the login",
+        "user name and password, a line each, into the file that mqtt.credentials names",
+    ),
+    (
+        "a topic",
+        |home| home.edit("home.rules.toml", "binary_sensor/living_room_motion/", "binary_sensor/livingroom_motion/"),
+        "topics",
+        "listens to homeassistant/binary_sensor/livingroom_motion/state, where nothing is said",
+        "write topic = \"homeassistant/binary_sensor/living_room_motion/state\"",
+    ),
+    (
+        "no state at the broker",
+        |home| {
             drop(home.broker.take());
             home.broker = Mosquitto::start(home.port, tempfile::tempdir().unwrap(), ANYBODY);
             home.say(&kept()[5..]);
         },
-        check: "topics",
-        verdict: "wrong",
-        found: "nothing was said within 1 s under any topic of its 8 rules",
-        remedy: "mqtt_statestream",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a device that no rule names",
-        make: |home| home.say(&[("homeassistant/light/desk/state".to_owned(), "on".to_owned(), true)]),
-        check: "unnamed topics",
-        verdict: "limited",
-        found: "no rule reads 1 topic: homeassistant/light/desk/state",
-        remedy: "write rules for those that say what people do",
-        code: exit_code::OK,
-    },
-    Mistake {
-        name: "a payload that is no JSON",
-        make: |home| {
-            home.edit(
-                "home.rules.toml",
-                "[[rule]]",
-                "[[rule]]\ntopic = \"zigbee2mqtt/lamp\"\nfield = \"/state\"\nsay = \"the lamp is {value}\"\n\n[[rule]]",
-            );
-            home.say(&[("zigbee2mqtt/lamp".to_owned(), "ON \"now\"".to_owned(), true)]);
-        },
-        check: "payloads",
-        verdict: "limited",
-        found: "rule 1 reads zigbee2mqtt/lamp, but its last payload is no JSON: ON \"now\"",
-        remedy: "leave `field` and pointers in braces out of the rule",
-        code: exit_code::OK,
-    },
-    Mistake {
-        name: "a payload without the field",
-        make: |home| {
-            home.edit(
-                "home.rules.toml",
-                "[[rule]]",
-                "[[rule]]\ntopic = \"zigbee2mqtt/lamp\"\nfield = \"/sate\"\nsay = \"the lamp is {value}\"\n\n[[rule]]",
-            );
-            home.say(&[("zigbee2mqtt/lamp".to_owned(), "{\"state\": \"ON\"}".to_owned(), true)]);
-        },
-        check: "payloads",
-        verdict: "limited",
-        found: "rule 1 reads zigbee2mqtt/lamp, but its last payload has nothing at /sate: {\"state\": \"ON\"}",
-        remedy: "correct `field`",
-        code: exit_code::OK,
-    },
-    Mistake {
-        name: "a broker without a scheme",
-        make: |home| home.edit("roomcast.toml", "mqtt://127.0.0.1", "127.0.0.1"),
-        check: "broker",
-        verdict: "wrong",
-        found: "here mqtt://127.0.0.1:",
-        remedy: "correct mqtt.broker",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a room in a rule",
-        make: |home| home.edit("home.rules.toml", "\"living-room-17\"", "\"lving-rom-17\""),
-        check: "rules",
-        verdict: "wrong",
-        found: "names the room \"lving-rom-17\", which the map does not have",
-        remedy: "write room = \"living-room-17\"",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a rule whose thing is not on the map",
-        make: |home| home.edit("home.rules.toml", "They open the fridge.", "They open the mailbox."),
-        check: "things of rules",
-        verdict: "limited",
-        found: "says \"They open the mailbox.\", and the map has no \"mailbox\"",
-        remedy: "add the thing to the map",
-        code: exit_code::OK,
-    },
-    Mistake {
-        name: "rules that are no TOML",
-        make: |home| home.edit("home.rules.toml", "[[rule]]", "[[rule]"),
-        check: "rules",
-        verdict: "wrong",
-        found: "home.rules.toml are malformed",
-        remedy: "docs/mqtt.md shows every key",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a map without things",
-        make: |home| {
+        "topics",
+        "nothing was said within 1 s under any topic of its 8 rules",
+        "mqtt_statestream",
+    ),
+    (
+        "a broker without a scheme",
+        |home| home.edit("roomcast.toml", "mqtt://127.0.0.1", "127.0.0.1"),
+        "broker",
+        "here mqtt://127.0.0.1:",
+        "correct mqtt.broker",
+    ),
+    (
+        "a room in a rule",
+        |home| home.edit("home.rules.toml", "\"living-room-17\"", "\"lving-rom-17\""),
+        "rules",
+        "names the room \"lving-rom-17\", which the map does not have",
+        "write room = \"living-room-17\"",
+    ),
+    (
+        "rules that are no TOML",
+        |home| home.edit("home.rules.toml", "[[rule]]", "[[rule]"),
+        "rules",
+        "home.rules.toml are malformed",
+        "docs/mqtt.md shows every key",
+    ),
+    (
+        "a map without things",
+        |home| {
             let path = home.path("home/home.json");
             let mut map: Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
             map["items"] = Value::Array(Vec::new());
             std::fs::write(path, map.to_string()).unwrap();
         },
-        check: "things",
-        verdict: "wrong",
-        found: "nothing stands in any room",
-        remedy: "--furnish typical",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a map that is no JSON",
-        make: |home| home.edit("home.json", "\"rooms\"", "rooms"),
-        check: "scene",
-        verdict: "wrong",
-        found: "home.json",
-        remedy: "roomcast scene check FILE names every fault",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a configuration that is no TOML",
-        make: |home| home.edit("roomcast.toml", "[mqtt]", "[mqtt"),
-        check: "configuration",
-        verdict: "wrong",
-        found: "roomcast.toml is malformed",
-        remedy: "roomcast config prints every key",
-        code: exit_code::CONFIG,
-    },
-    Mistake {
-        name: "a configuration that is not there",
-        make: |home| std::fs::remove_file(home.path("home/roomcast.toml")).unwrap(),
-        check: "configuration",
-        verdict: "wrong",
-        found: "failed to read the configuration",
-        remedy: "give --config the file that roomcast init has written",
-        code: exit_code::CONFIG,
-    },
-    Mistake {
-        name: "a key that there is not",
-        make: |home| home.edit("roomcast.toml", "obey =", "obeys ="),
-        check: "configuration",
-        verdict: "wrong",
-        found: "unknown key `obeys`",
-        remedy: "roomcast config prints every key",
-        code: exit_code::CONFIG,
-    },
-    Mistake {
-        name: "a model that is not there",
-        make: |home| home.edit("roomcast.toml", "[scene]", "[model]\npath = \"/nowhere/model.gguf\"\n\n[scene]"),
-        check: "model",
-        verdict: "wrong",
-        found: "/nowhere/model.gguf",
-        remedy: "without model.path the embedded household model is used",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "no daemon",
-        make: |home| {
+        "things",
+        "nothing stands in any room",
+        "--furnish typical",
+    ),
+    (
+        "a map that is no JSON",
+        |home| home.edit("home.json", "\"rooms\"", "rooms"),
+        "scene",
+        "home.json",
+        "roomcast scene check FILE names every fault",
+    ),
+    (
+        "a model that is not there",
+        |home| home.edit("roomcast.toml", "[scene]", "[model]\npath = \"/nowhere/model.gguf\"\n\n[scene]"),
+        "model",
+        "/nowhere/model.gguf",
+        "without model.path the embedded household model is used",
+    ),
+    (
+        "no daemon",
+        |home| {
             let config = home.at("home/roomcast.toml");
             home.start(&["planner", "--config", &config]);
             let node = home.domain.open("test").unwrap();
@@ -596,164 +493,215 @@ static MISTAKES: [Mistake; 35] = [
                 node.participants().unwrap().into_iter().find(|name| name.starts_with("roomcast-planner"))
             });
         },
-        check: "daemon",
-        verdict: "wrong",
-        found: "planner runs, and no daemon does",
-        remedy: "roomcast daemon --config",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "rooms that are no segments",
-        make: |home| {
+        "daemon",
+        "planner runs, and no daemon does",
+        "roomcast daemon --config",
+    ),
+    (
+        "rooms that are no segments",
+        |home| {
             let segments = r#"{"1": "Room 1", "2": "Room 2", "3": "Room 3"}"#;
             home.say(&[(format!("{ROBOT}/MapData/segments"), segments.to_owned(), true)]);
         },
-        check: "segments",
-        verdict: "wrong",
-        found: "the robot cannot do kitchen-16, living-room-17, hallway-18",
-        remedy: "[robot.segments]",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a robot without segments",
-        make: |home| home.say(&[(format!("{ROBOT}/MapData/segments"), "{}".to_owned(), true)]),
-        check: "segments",
-        verdict: "wrong",
-        found: "has told of no segments",
-        remedy: "let the robot divide its map into rooms",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "another robot's topic",
-        make: |home| home.edit("roomcast.toml", "valetudo/rocky", "valetudo/robot-1"),
-        check: "robot",
-        verdict: "wrong",
-        found: "no robot speaks under valetudo/robot-1",
-        remedy: "set robot.topic = \"valetudo/rocky\", which is there",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a robot that is stuck",
-        make: |home| {
+        "segments",
+        "the robot cannot do kitchen-16, living-room-17, hallway-18",
+        "[robot.segments]",
+    ),
+    (
+        "a robot without segments",
+        |home| home.say(&[(format!("{ROBOT}/MapData/segments"), "{}".to_owned(), true)]),
+        "segments",
+        "has told of no segments",
+        "let the robot divide its map into rooms",
+    ),
+    (
+        "another robot's topic",
+        |home| home.edit("roomcast.toml", "valetudo/rocky", "valetudo/robot-1"),
+        "robot",
+        "no robot speaks under valetudo/robot-1",
+        "set robot.topic = \"valetudo/rocky\", which is there",
+    ),
+    (
+        "a robot that is stuck",
+        |home| {
             let stuck = [
                 ("StatusStateAttribute/status", "error"),
                 ("StatusStateAttribute/error_description", "Wheel lost floor contact"),
             ];
             home.say(&stuck.map(|(part, said)| (format!("{ROBOT}/{part}"), said.to_owned(), true)));
         },
-        check: "robot",
-        verdict: "wrong",
-        found: "has an error: Wheel lost floor contact",
-        remedy: "go and free it",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a resident by another name",
-        make: |home| home.edit("roomcast.toml", "residents = [\"Ada\"]", "residents = [\"Adah\"]"),
-        check: "persons",
-        verdict: "limited",
-        found: "the rules name Ada: not among persons.residents",
-        remedy: "add who lives here to persons.residents",
-        code: exit_code::OK,
-    },
-    Mistake {
-        name: "a segment that there is not",
-        make: |home| home.edit("roomcast.toml", "[robot]\n", "[robot]\nsegments = { kitchen-16 = \"99\" }\n"),
-        check: "segments",
-        verdict: "wrong",
-        found: "has \"kitchen-16\" = \"99\", and the robot has no such segment",
-        remedy: "write one of 16 \"Küche\"",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a segment of no room",
-        make: |home| home.edit("roomcast.toml", "[robot]\n", "[robot]\nsegments = { kitchn-16 = \"16\" }\n"),
-        check: "segments",
-        verdict: "wrong",
-        found: "names the room \"kitchn-16\", which the map does not have",
-        remedy: "write \"kitchen-16\"",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a robot of the other kind",
-        make: |home| home.edit("roomcast.toml", "[robot]\n", "[robot]\nkind = \"home-assistant\"\n"),
-        check: "robot",
-        verdict: "wrong",
-        found: "no robot speaks under valetudo/rocky",
-        remedy: "leave robot.kind out",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "states under another base topic",
-        make: |home| {
+        "robot",
+        "has an error: Wheel lost floor contact",
+        "go and free it",
+    ),
+    (
+        "a segment that there is not",
+        |home| home.edit("roomcast.toml", "[robot]\n", "[robot]\nsegments = { kitchen-16 = \"99\" }\n"),
+        "segments",
+        "has \"kitchen-16\" = \"99\", and the robot has no such segment",
+        "write one of 16 \"Küche\"",
+    ),
+    (
+        "a segment of no room",
+        |home| home.edit("roomcast.toml", "[robot]\n", "[robot]\nsegments = { kitchn-16 = \"16\" }\n"),
+        "segments",
+        "names the room \"kitchn-16\", which the map does not have",
+        "write \"kitchen-16\"",
+    ),
+    (
+        "a robot of the other kind",
+        |home| home.edit("roomcast.toml", "[robot]\n", "[robot]\nkind = \"home-assistant\"\n"),
+        "robot",
+        "no robot speaks under valetudo/rocky",
+        "leave robot.kind out",
+    ),
+    (
+        "states under another base topic",
+        |home| {
             let rules = home.path("home/home.rules.toml");
             let text = std::fs::read_to_string(&rules).unwrap();
             std::fs::write(rules, text.replace("\"homeassistant/", "\"ha/")).unwrap();
         },
-        check: "topics",
-        verdict: "wrong",
-        found: "Home Assistant says its states under homeassistant/",
-        remedy: "write homeassistant/ for ha/ in the topics of the rules",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a state folder that is a file",
-        make: |home| std::fs::write(home.path("home/state"), "").unwrap(),
-        check: "state",
-        verdict: "wrong",
-        found: "is no folder",
-        remedy: "give another folder as daemon.state",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "rules that are not there",
-        make: |home| std::fs::remove_file(home.path("home/home.rules.toml")).unwrap(),
-        check: "rules",
-        verdict: "wrong",
-        found: "home.rules.toml",
-        remedy: "correct mqtt.rules in the configuration",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "a typo in the rules",
-        make: |home| home.edit("home.rules.toml", "say = ", "sya = "),
-        check: "rules",
-        verdict: "wrong",
-        found: "sya",
-        remedy: "correct the line that it names; docs/mqtt.md shows every key",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "rules without a rule",
-        make: |home| std::fs::write(home.path("home/home.rules.toml"), "# none\n").unwrap(),
-        check: "rules",
-        verdict: "wrong",
-        found: "0 rules; give 1 to 4096, each begins with [[rule]]",
-        remedy: "docs/mqtt.md shows every key",
-        code: exit_code::CHECK,
-    },
-    Mistake {
-        name: "the clock",
-        make: |home| {
+        "topics",
+        "Home Assistant says its states under homeassistant/",
+        "write homeassistant/ for ha/ in the topics of the rules",
+    ),
+    (
+        "a state folder that is a file",
+        |home| std::fs::write(home.path("home/state"), "").unwrap(),
+        "state",
+        "is no folder",
+        "give another folder as daemon.state",
+    ),
+    (
+        "rules that are not there",
+        |home| std::fs::remove_file(home.path("home/home.rules.toml")).unwrap(),
+        "rules",
+        "home.rules.toml",
+        "correct mqtt.rules in the configuration",
+    ),
+    (
+        "a typo in the rules",
+        |home| home.edit("home.rules.toml", "say = ", "sya = "),
+        "rules",
+        "sya",
+        "correct the line that it names; docs/mqtt.md shows every key",
+    ),
+    (
+        "rules without a rule",
+        |home| std::fs::write(home.path("home/home.rules.toml"), "# none\n").unwrap(),
+        "rules",
+        "0 rules; give 1 to 4096, each begins with [[rule]]",
+        "docs/mqtt.md shows every key",
+    ),
+    (
+        "the clock",
+        |home| {
             let file = std::fs::File::options().append(true).open(home.path("home/home.json")).unwrap();
             file.set_modified(SystemTime::now() + Duration::from_secs(86_400)).unwrap();
         },
-        check: "clock",
-        verdict: "wrong",
-        found: "home.json was written",
-        remedy: "timedatectl set-ntp true",
-        code: exit_code::CHECK,
-    },
+        "clock",
+        "home.json was written",
+        "timedatectl set-ntp true",
+    ),
+];
+
+/// Limits.
+const LIMITED: [Mistake; 5] = [
+    (
+        "a device that no rule names",
+        |home| home.say(&[("homeassistant/light/desk/state".to_owned(), "on".to_owned(), true)]),
+        "unnamed topics",
+        "no rule reads 1 topic: homeassistant/light/desk/state",
+        "write rules for those that say what people do",
+    ),
+    (
+        "a payload that is no JSON",
+        |home| {
+            home.edit(
+                "home.rules.toml",
+                "[[rule]]",
+                "[[rule]]\ntopic = \"zigbee2mqtt/lamp\"\nfield = \"/state\"\nsay = \"the lamp is {value}\"\n\n[[rule]]",
+            );
+            home.say(&[("zigbee2mqtt/lamp".to_owned(), "ON \"now\"".to_owned(), true)]);
+        },
+        "payloads",
+        "rule 1 reads zigbee2mqtt/lamp, but its last payload is no JSON: ON \"now\"",
+        "leave `field` and pointers in braces out of the rule",
+    ),
+    (
+        "a payload without the field",
+        |home| {
+            home.edit(
+                "home.rules.toml",
+                "[[rule]]",
+                "[[rule]]\ntopic = \"zigbee2mqtt/lamp\"\nfield = \"/sate\"\nsay = \"the lamp is {value}\"\n\n[[rule]]",
+            );
+            home.say(&[("zigbee2mqtt/lamp".to_owned(), "{\"state\": \"ON\"}".to_owned(), true)]);
+        },
+        "payloads",
+        "rule 1 reads zigbee2mqtt/lamp, but its last payload has nothing at /sate: {\"state\": \"ON\"}",
+        "correct `field`",
+    ),
+    (
+        "a rule whose thing is not on the map",
+        |home| home.edit("home.rules.toml", "They open the fridge.", "They open the mailbox."),
+        "things of rules",
+        "says \"They open the mailbox.\", and the map has no \"mailbox\"",
+        "add the thing to the map",
+    ),
+    (
+        "a resident by another name",
+        |home| home.edit("roomcast.toml", "residents = [\"Ada\"]", "residents = [\"Adah\"]"),
+        "persons",
+        "the rules name Ada: not among persons.residents",
+        "add who lives here to persons.residents",
+    ),
+];
+
+/// A limit that fails the check.
+const OPEN: [Mistake; 1] = [(
+    "a password that everybody can read",
+    |home| assert!(password(home, false), "mosquitto_passwd is not there"),
+    "broker",
+    "everybody on this machine can read its password",
+    "chmod 600",
+)];
+
+/// Faults of the configuration itself.
+const CONFIGURATION: [Mistake; 3] = [
+    (
+        "a configuration that is no TOML",
+        |home| home.edit("roomcast.toml", "[mqtt]", "[mqtt"),
+        "configuration",
+        "roomcast.toml is malformed",
+        "roomcast config prints every key",
+    ),
+    (
+        "a configuration that is not there",
+        |home| std::fs::remove_file(home.path("home/roomcast.toml")).unwrap(),
+        "configuration",
+        "failed to read the configuration",
+        "give --config the file that roomcast init has written",
+    ),
+    (
+        "a key that there is not",
+        |home| home.edit("roomcast.toml", "obey =", "obeys ="),
+        "configuration",
+        "unknown key `obeys`",
+        "roomcast config prints every key",
+    ),
 ];
 
 #[test]
 #[ignore = "full"]
 fn the_doctor_finds_each_mistake() {
+    let mistakes = || MISTAKES.iter().flat_map(|(verdict, code, all)| all.iter().map(move |one| (verdict, code, one)));
     // A check mostly waits, so several homes are checked in parallel.
     let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let work = |worker: usize| {
-        while let Some(Mistake { name, make, check, verdict, found, remedy, code }) =
-            MISTAKES.get(next.fetch_add(1, Ordering::Relaxed))
+        while let Some((verdict, code, (name, make, check, found, remedy))) =
+            mistakes().nth(next.fetch_add(1, Ordering::Relaxed))
         {
             let Some(mut home) = Home::new(&format!("doctor{worker}")) else { return };
             home.good();

@@ -20,7 +20,7 @@ use roomcast_ipc::raw::DecisionV1;
 use roomcast_services::daemon::journal;
 use rustix::process::{Pid, Signal, kill_process};
 
-use crate::eventually::eventually;
+use crate::eventually::{eventually, waited};
 use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
 use crate::skipped::skipped;
 use roomcast_cli::exit_code;
@@ -304,8 +304,7 @@ impl World {
             let met = |world: &mut Self| {
                 let probe = world.lines();
                 publish(world.port(), &probe[..1]);
-                std::thread::sleep(Duration::from_millis(100));
-                !world.kept().is_empty()
+                waited(Duration::from_millis(100), || (!world.kept().is_empty()).then_some(())).is_some()
             };
             if let Some(status) = self.until("met", &mut child, lasting, met)? {
                 return self.judge(prefix, status);
@@ -316,7 +315,6 @@ impl World {
         publish(self.port(), &lines);
         self.confirmed.extend_from_slice(&lines);
         let heard = |world: &mut Self| {
-            std::thread::sleep(Duration::from_millis(10));
             let kept = world.kept();
             lines.iter().all(|line| kept.contains_key(line))
         };
@@ -349,24 +347,19 @@ impl World {
         lasting: bool,
         mut holds: impl FnMut(&mut Self) -> bool,
     ) -> Result<Option<ExitStatus>, String> {
-        let start = Instant::now();
         let patience = if lasting { Duration::from_secs(8) } else { PATIENCE };
-        loop {
-            if let Some(status) = child.try_wait().unwrap() {
-                return Ok(Some(status));
-            }
-            if holds(self) {
-                return Ok(None);
-            }
-            if start.elapsed() > patience {
-                if lasting {
-                    return Ok(None);
-                }
+        let seen = waited(patience, || match child.try_wait().unwrap() {
+            None => holds(self).then_some(None),
+            ended => Some(ended),
+        });
+        match seen {
+            Some(ended) => Ok(ended),
+            None if lasting => Ok(None),
+            None => {
                 let _gone = child.kill();
                 let _reaped = child.wait();
-                return Err(format!("it is not {what} after {patience:?}"));
+                Err(format!("it is not {what} after {patience:?}"))
             }
-            std::thread::sleep(Duration::from_millis(3));
         }
     }
 

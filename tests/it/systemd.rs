@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use roomcast_ipc::Domain;
 use rustix::process::{Pid, Signal, kill_process};
 
-use crate::eventually::eventually;
+use crate::eventually::{PATIENCE, eventually, waited};
 use crate::skipped::skipped;
 
 const UNITS: [&str; 9] = [
@@ -212,14 +212,14 @@ impl OwnSystemd {
         command.arg(source.join("tests/support/systemd.sh")).arg(directory.path());
         command.stdin(Stdio::null()).stdout(log.try_clone().unwrap()).stderr(log);
         let mut own = Self { child: command.spawn().unwrap(), group, directory };
-        let start = Instant::now();
-        while own.property("LoadState").is_none_or(|state| state != "loaded") {
-            if own.child.try_wait().unwrap().is_some() || start.elapsed() > Duration::from_secs(20) {
-                return Err(own.log().lines().last().unwrap_or("it does not start").to_owned());
-            }
-            std::thread::sleep(Duration::from_millis(50));
+        let is_loaded = waited(Duration::from_secs(20), || {
+            let is_loaded = own.property("LoadState").is_some_and(|state| state == "loaded");
+            (is_loaded || own.child.try_wait().unwrap().is_some()).then_some(is_loaded)
+        });
+        if is_loaded == Some(true) {
+            return Ok(own);
         }
-        Ok(own)
+        Err(own.log().lines().last().unwrap_or("it does not start").to_owned())
     }
 
     fn log(&self) -> String {
@@ -243,17 +243,12 @@ impl OwnSystemd {
 
     fn until(&self, name: &str, holds: impl Fn(&str) -> bool) -> String {
         let mut newest = None;
-        let start = Instant::now();
         // During this time, systemd restarts the daemon.
-        while start.elapsed() < Duration::from_secs(120) {
-            let value = self.property(name);
-            if let Some(value) = value.as_deref().filter(|value| holds(value)) {
-                return value.to_owned();
-            }
-            newest = value;
-            std::thread::sleep(Duration::from_millis(100));
-        }
-        panic!("{name} stays at {newest:?}: {}", self.log());
+        let value = waited(PATIENCE, || {
+            newest = self.property(name);
+            newest.clone().filter(|value| holds(value))
+        });
+        value.unwrap_or_else(|| panic!("{name} stays at {newest:?}: {}", self.log()))
     }
 }
 

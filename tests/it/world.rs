@@ -111,6 +111,14 @@ impl World {
         self.wait(process).0.code()
     }
 
+    /// Stops a service, which must end well; returns its log.
+    pub(crate) fn stop(&mut self, process: usize) -> String {
+        self.signal(process, Signal::TERM);
+        let (status, log) = self.wait(process);
+        assert!(status.success(), "{status}: {log}");
+        log
+    }
+
     pub(crate) fn log(&self, process: usize) -> String {
         std::fs::read_to_string(&self.children[process].log).unwrap()
     }

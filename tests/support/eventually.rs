@@ -9,13 +9,20 @@ pub(crate) fn eventually<T>(what: &str, attempt: impl FnMut() -> Option<T>) -> T
 }
 
 /// Like [`eventually`], with another timeout.
-pub(crate) fn within<T>(patience: Duration, what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
+pub(crate) fn within<T>(patience: Duration, what: &str, attempt: impl FnMut() -> Option<T>) -> T {
+    let value = waited(patience, attempt);
+    assert!(value.is_some(), "not within {patience:?}: {what}");
+    value.unwrap()
+}
+
+/// Like [`within`]; `None` after the timeout.
+pub(crate) fn waited<T>(patience: Duration, mut attempt: impl FnMut() -> Option<T>) -> Option<T> {
     let start = Instant::now();
     loop {
-        if let Some(value) = attempt() {
+        let value = attempt();
+        if value.is_some() || start.elapsed() >= patience {
             return value;
         }
-        assert!(start.elapsed() < patience, "not within {patience:?}: {what}");
         std::thread::sleep(Duration::from_millis(5));
     }
 }

@@ -147,12 +147,6 @@ impl FakeValetudo {
         self.freed_s = 0.0;
     }
 
-    /// A person frees the robot and puts it on its dock.
-    pub(crate) fn carry_home(&mut self) {
-        self.fault.clear();
-        (self.freed_s, self.job, self.doing) = (0.0, None, Doing::Docked);
-    }
-
     /// Retained messages that changed since the last call; with `again`, all of them.
     pub(crate) fn say(&mut self, again: bool) -> Vec<(String, String)> {
         if again {

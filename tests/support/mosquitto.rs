@@ -2,11 +2,13 @@
 
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
 
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::Packet;
 use rumqttc::v5::{Client, Event, MqttOptions};
+
+use crate::eventually::eventually;
+use crate::skipped::skipped;
 
 pub(crate) const NO_BROKER: &str = "mosquitto is not installed (apt-get install mosquitto)";
 
@@ -23,6 +25,16 @@ pub(crate) struct Mosquitto {
 }
 
 impl Mosquitto {
+    /// A broker for anybody, with its port; `None` with a report if mosquitto is missing.
+    pub(crate) fn ready() -> Option<(Self, u16)> {
+        let port = free_port();
+        let broker = Self::start(port, tempfile::tempdir().unwrap(), ANYBODY);
+        if broker.is_none() {
+            skipped(NO_BROKER);
+        }
+        Some((broker?, port))
+    }
+
     /// `access` is a part of mosquitto's configuration.
     pub(crate) fn start(port: u16, folder: tempfile::TempDir, access: &str) -> Option<Self> {
         let config = folder.path().join("mosquitto.conf");
@@ -38,11 +50,7 @@ impl Mosquitto {
         let mut command = Command::new(program);
         command.arg("-c").arg(&config).stdout(Stdio::null()).stderr(Stdio::null());
         let child = command.spawn().unwrap();
-        let deadline = Instant::now() + Duration::from_secs(20);
-        while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
-            assert!(Instant::now() < deadline, "mosquitto does not listen on port {port}");
-            std::thread::sleep(Duration::from_millis(20));
-        }
+        eventually("mosquitto listens", || std::net::TcpStream::connect(("127.0.0.1", port)).ok());
         Some(Self { child, port, folder })
     }
 
@@ -67,17 +75,10 @@ impl Mosquitto {
         options.set_max_packet_size(Some(64 << 20));
         let (client, mut connection) = Client::new(options, messages.len().max(1));
         // A broker that has just begun to listen may refuse its first clients.
-        let deadline = Instant::now() + Duration::from_secs(20);
-        loop {
-            match connection.recv().unwrap() {
-                Ok(Event::Incoming(Packet::ConnAck(_))) => break,
-                Ok(_) => {}
-                Err(error) => {
-                    assert!(Instant::now() < deadline, "no connection to port {}: {error}", self.port);
-                    std::thread::sleep(Duration::from_millis(20));
-                }
-            }
-        }
+        eventually("the publisher is connected", || {
+            let event = connection.recv().unwrap();
+            matches!(event, Ok(Event::Incoming(Packet::ConnAck(_)))).then_some(())
+        });
         for (topic, payload, retain) in messages {
             client.try_publish(*topic, QoS::AtLeastOnce, *retain, payload.clone()).unwrap();
         }

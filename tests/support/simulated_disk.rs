@@ -20,15 +20,7 @@ const BLOCK: usize = 512;
 const DATABASE: &str = "simulated";
 const NAME: &CStr = c"roomcast-simulated";
 
-/// Counts of the disk's faults.
-#[derive(Debug, Default, Clone, Copy)]
-pub struct DiskTally {
-    pub failed_calls: u64,
-    pub failed_syncs: u64,
-    pub stale_reads: u64,
-    pub misdirected_reads: u64,
-    pub set_aside: u64,
-}
+counts! { DiskTally: failed_calls, failed_syncs, stale_reads, misdirected_reads, set_aside; also: }
 
 /// One file.
 #[derive(Debug, Default, Clone)]
@@ -69,6 +61,8 @@ struct Machine {
     /// A failed sync counts as successful: a planted fault.
     hides_failed_syncs: bool,
     files: BTreeMap<String, File>,
+    /// No file can grow.
+    is_full: bool,
     /// Probabilities that a call fails, and that a start reads a wrong block.
     fails: f64,
     misreads: f64,
@@ -132,6 +126,7 @@ impl SimulatedDisk {
             rng: ChaCha8Rng::seed_from_u64(seed),
             hides_failed_syncs,
             files: BTreeMap::new(),
+            is_full: false,
             fails: 0.0,
             misreads: 0.0,
             misreading: None,
@@ -155,6 +150,11 @@ impl SimulatedDisk {
     /// Sets the probabilities that a call fails and that a start reads a wrong block.
     pub fn set_faults(self, fails: f64, misreads: f64) {
         with(|machine| (machine.fails, machine.misreads) = (fails, misreads));
+    }
+
+    /// From now on no file can grow.
+    pub fn fill(self) {
+        with(|machine| machine.is_full = true);
     }
 
     pub fn tally(self) -> DiskTally {
@@ -264,11 +264,15 @@ unsafe extern "C" fn write(file: *mut ffi::sqlite3_file, from: *const c_void, co
     // SAFETY: SQLite gives that many bytes, and a file that it has open.
     let (from, name) =
         unsafe { (std::slice::from_raw_parts(from.cast::<u8>(), usize::try_from(count).unwrap()), name_of(file)) };
+    let at = usize::try_from(at).unwrap();
     with(|machine| {
         let fails = machine.fails();
         let written = if fails { machine.rng.random_range(0..=from.len()) } else { from.len() };
         let file = machine.files.entry(name.clone()).or_default();
-        file.overwrite(usize::try_from(at).unwrap(), &from[..written]);
+        if machine.is_full && at + from.len() > file.shown.len() {
+            return ffi::SQLITE_FULL;
+        }
+        file.overwrite(at, &from[..written]);
         if fails { ffi::SQLITE_FULL } else { ffi::SQLITE_OK }
     })
 }

@@ -115,6 +115,7 @@ fn main() {
             break message.len();
         }
     };
+    // Earlier messages may still be on their way.
     std::thread::sleep(Duration::from_millis(500));
     while through.try_recv().is_ok() {}
     let mut putter = Command::new(std::env::current_exe().unwrap());
@@ -124,6 +125,7 @@ fn main() {
     while alone.recv_timeout(Duration::from_millis(200)).is_err() {
         turns.write_all(&[0]).unwrap();
     }
+    // The same.
     std::thread::sleep(Duration::from_millis(500));
     while alone.try_recv().is_ok() {}
     let (mut hop, mut bare, mut inside) = (Vec::new(), Vec::new(), Vec::new());

@@ -115,6 +115,7 @@ fn main() {
         }
     }
     let took = start.elapsed().as_secs_f64();
+    // The last messages are on their way.
     std::thread::sleep(Duration::from_millis(500));
     let (after, own_after) = (used(&router), used("self"));
     let heard = messages.load(Ordering::Relaxed);

@@ -148,6 +148,7 @@ mod tests {
                     if let Ok(Some(reply)) = replies.try_recv() {
                         answered = reply.result().is_ok();
                     }
+                    // The daemon's pace.
                     thread::sleep(Duration::from_millis(1));
                 }
             }
@@ -179,6 +180,7 @@ mod tests {
                     let port = domain.open("daemon").unwrap().answer_port(question::PERSON).unwrap();
                     while !stop.requested() {
                         port.answer(|asked| format!("{robot} was asked {}", asked.unwrap())).unwrap();
+                        // The daemon's pace.
                         thread::sleep(Duration::from_millis(1));
                     }
                 });

@@ -803,7 +803,7 @@ mod tests {
         fs::rename(&path, folder.path().join("lines.1")).unwrap();
         fs::write(&path, "").unwrap();
         for late in ["one\n", "two\n", "three\n"] {
-            // Longer than several checks.
+            // Longer than several checks: the reader must stay with the old file.
             thread::sleep(4 * LOOK);
             writer.write_all(late.as_bytes()).unwrap();
             assert_eq!(reading.text(), late);

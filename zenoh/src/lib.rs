@@ -36,3 +36,7 @@ pub mod habits;
 pub mod hub;
 pub mod robot;
 pub mod watch;
+
+#[cfg(test)]
+#[path = "../../tests/support/eventually.rs"]
+mod eventually;

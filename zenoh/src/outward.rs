@@ -313,6 +313,7 @@ mod tests {
     use zenoh::Session;
 
     use super::*;
+    use crate::eventually::eventually;
 
     const S: u64 = 1_000_000_000;
 
@@ -393,13 +394,10 @@ mod tests {
             decide(1, "kitchen");
             assert_eq!(next(&at_first), "kitchen");
             first.close().wait().unwrap();
-            while link.is_connected() {
-                std::thread::sleep(Duration::from_millis(10));
-            }
+            eventually("the link notices", || (!link.is_connected()).then_some(()));
             decide(2, "bathroom");
-            while last.again(&key).is_none_or(|bytes| !String::from_utf8(bytes).unwrap().contains("bathroom")) {
-                std::thread::sleep(Duration::from_millis(10));
-            }
+            let said = || String::from_utf8(last.again(&key)?).ok().filter(|said| said.contains("bathroom"));
+            eventually("the decision is the last one", said);
             let second = router(port);
             assert_eq!(next(&heard(&second)), "bathroom");
         });

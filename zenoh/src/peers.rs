@@ -339,6 +339,7 @@ pub fn run(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::eventually::eventually;
     use crate::told::{self, Teller};
 
     const S: u64 = 1_000_000_000;
@@ -409,7 +410,7 @@ mod tests {
             for _ in 0..2 {
                 let planner = node.subscriber::<DecisionV1>().unwrap();
                 let mut rooms = std::collections::BTreeSet::new();
-                while rooms.len() < 3 {
+                eventually("it hears of three robots", || {
                     while let Some(decision) = planner.receive().unwrap() {
                         assert_eq!(decision.has(decision_flags::ELSEWHERE), decision.robot != robot_5);
                         if decision.robot != robot_5 {
@@ -426,8 +427,8 @@ mod tests {
                         });
                         ear.0.send(heard(robot, "status", status, clock::monotonic_ns())).unwrap();
                     }
-                    std::thread::sleep(Duration::from_millis(10));
-                }
+                    (rooms.len() >= 3).then_some(())
+                });
                 assert!(rooms.iter().eq(["bathroom", "hall", "kitchen"]), "{rooms:?}");
             }
         });

@@ -182,28 +182,19 @@ impl Spool {
         };
         let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(folder);
         made.map_err(failed("make the folder of"))?;
-        let is_new = !path.exists();
-        // An old queue that is refused must not leave a database behind: the next start would not read it.
-        let old = if is_new {
-            read_old(folder).map_err(failed("read the queue of an earlier version before"))?
-        } else {
-            None
-        };
+        if !path.exists() {
+            begin(&path, read_old(folder).map_err(failed("read the queue of an earlier version before"))?)?;
+        }
         let (mut database, mut set_aside) = Database::open(&path, SCHEMA)?;
         let failed_sqlite = |source| SpoolError::Sqlite { path: path.clone(), source };
-        let found = if is_new { old } else { Some(Found::default()) };
-        let found = match found {
-            None => Found { head: Some(Head::new(Some(Place::default()))), ..Found::default() },
-            Some(_) if !is_new => match read(&database) {
-                Err(error) if is_damage(&error) => {
-                    set_aside = Some(database.start_anew(&error)?);
-                    read(&database).map_err(failed_sqlite)?
-                }
-                found => found.map_err(failed_sqlite)?,
-            },
-            Some(old) => old,
+        let found = match read(&database) {
+            Err(error) if is_damage(&error) => {
+                set_aside = Some(database.start_anew(&error)?);
+                read(&database)
+            }
+            found => found,
         };
-        let Found { head, kept, given_up } = found;
+        let Found { head, kept, given_up } = found.map_err(failed_sqlite)?;
         let path = path.display();
         if let Some(reason) = set_aside.map(|aside| aside.reason) {
             tracing::error!(%path, reason, "the spool is damaged and was set aside; is the disk failing?");
@@ -388,6 +379,32 @@ impl Spool {
             (self.head.first, self.head.input) = (kept.sequence + 1, kept.input);
         }
     }
+}
+
+/// Makes the database with the queue of an earlier version, if there is one. It gets its name when it is complete, so that a hub that is killed
+/// before begins again.
+fn begin(path: &Path, old: Option<Found>) -> Result<(), SpoolError> {
+    let found = old.unwrap_or_else(|| Found { head: Some(Head::new(Some(Place::default()))), ..Found::default() });
+    let unfinished = path.with_extension("new");
+    let (mut database, _) = Database::open(&unfinished, SCHEMA)?;
+    let written = database.write(|transaction| {
+        transaction.execute_batch("DELETE FROM head; DELETE FROM narration")?;
+        let Some(head) = &found.head else { return Ok(()) };
+        found.kept.iter().try_for_each(|kept| insert(transaction, head.epoch, kept))?;
+        write_head(transaction, head, head.first + found.kept.len() as u64 - 1)
+    });
+    let erased = written.and_then(|()| database.erase());
+    erased.map_err(|source| SpoolError::Sqlite { path: unfinished.clone(), source })?;
+    drop(database);
+    if found.given_up > 0 {
+        tracing::error!(given_up = found.given_up, "the queue of an earlier version is damaged: narrations before the damage are given up");
+    }
+    // SQLite would read a log that a removed database has left.
+    for extension in ["new-wal", "new-shm", "db-wal", "db-shm"] {
+        let _removed = fs::remove_file(path.with_extension(extension));
+    }
+    let named = fs::rename(&unfinished, path);
+    named.map_err(|source| SpoolError::File { path: unfinished, operation: "rename", source })
 }
 
 fn insert(transaction: &Transaction<'_>, epoch: Hex, kept: &Kept) -> rusqlite::Result<()> {
@@ -645,6 +662,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut spool = open(folder.path());
         let dated = Dated::new(observation("They sit."), 7, None);
+        // Time of the real clock passes for it.
         std::thread::sleep(std::time::Duration::from_millis(5));
         spool.append(vec![dated]).unwrap();
         assert!(spool.age_ns(spool.get(1).unwrap()) >= 5_000_007);
@@ -763,6 +781,8 @@ mod tests {
         let lines = [head(2), kept(2), kept(3), "cut off\n".to_owned(), kept(4), head(3), kept(5)].concat();
         let old = folder.path().join(OLD_FILE);
         fs::write(&old, &lines).unwrap();
+        // A hub was killed at its first start.
+        drop(Database::open(&folder.path().join("narration.new"), SCHEMA).unwrap());
         for _ in 0..2 {
             let spool = open(folder.path());
             assert_eq!((spool.epoch(), spool.confirmed(), place(&spool)), (42, 1, (3, 5, Some(50))));

@@ -50,7 +50,7 @@ use whose::{OTHERS_MAX, View};
 pub use moment::{PART_HOURS, PARTS};
 pub use parts::Without;
 pub use sets::{AdaptiveSets, Issued, SetOptions};
-pub use stored::{BYTES_MAX, StoredError};
+pub use stored::{BYTES_MAX, Stored, StoredError, StoredName, StoredPerson, StoredRow};
 
 /// Most persons with habits. A further person replaces the person with the fewest observations.
 pub const PERSONS_MAX: usize = 64;

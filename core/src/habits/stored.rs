@@ -64,11 +64,13 @@ pub(crate) fn malformed(what: impl Into<String>) -> StoredError {
     StoredError::Malformed { what: what.into() }
 }
 
-/// A name and its last minute since 1970, local time.
+/// A name of a thing or place.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct StoredName {
-    pub(crate) name: String,
-    pub(crate) seen_min: u32,
+pub struct StoredName {
+    /// The name.
+    pub name: String,
+    /// The minute when it was last seen, since 1970, local time.
+    pub seen_min: u32,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -84,9 +86,11 @@ pub(crate) struct StoredAnchor {
     pub(crate) scores: Vec<f32>,
 }
 
+/// A person's model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct StoredPerson {
-    pub(crate) number: u32,
+pub struct StoredPerson {
+    /// The person's number.
+    pub number: u32,
     pub(crate) slot: u8,
     pub(crate) observations: f64,
     /// Repeated mentions, and all mentions.
@@ -97,28 +101,38 @@ pub(crate) struct StoredPerson {
     pub(crate) anchors: Vec<StoredAnchor>,
 }
 
+/// The counts of the symbols that followed a context.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct StoredRow {
-    pub(crate) kind: u8,
-    pub(crate) slot: u8,
-    pub(crate) after: [u16; 3],
-    pub(crate) touched_min: u32,
-    pub(crate) counts: Vec<(u16, f32)>,
+pub struct StoredRow {
+    /// The kind of context.
+    pub kind: u8,
+    /// The person, in the lower six bits.
+    pub slot: u8,
+    /// The context.
+    pub after: [u16; 3],
+    /// The minute of the last change, since 1970, local time.
+    pub touched_min: u32,
+    /// The symbols with their counts as of that minute.
+    pub counts: Vec<(u16, f32)>,
 }
 
+/// Habits as values.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Stored {
-    pub(crate) version: u16,
-    #[serde(skip)]
-    is_converted: bool,
+pub struct Stored {
+    /// The version of the program's habits.
+    pub version: u16,
+    /// The things.
     #[serde(deserialize_with = "list_of_keyed")]
-    pub(crate) objects: Vec<StoredName>,
+    pub objects: Vec<StoredName>,
+    /// The places.
     #[serde(deserialize_with = "list_of_keyed")]
-    pub(crate) places: Vec<StoredName>,
+    pub places: Vec<StoredName>,
+    /// The persons.
     #[serde(deserialize_with = "list_of_keyed")]
-    pub(crate) persons: Vec<StoredPerson>,
+    pub persons: Vec<StoredPerson>,
+    /// The counts.
     #[serde(deserialize_with = "list_of_keyed")]
-    pub(crate) rows: Vec<StoredRow>,
+    pub rows: Vec<StoredRow>,
 }
 
 impl Stored {
@@ -231,7 +245,6 @@ impl Stored {
             }
         }
         self.rows.extend(coarser.into_values());
-        (self.version, self.is_converted) = (VERSION, true);
     }
 
     /// Checks that all numbers are finite and in range. Drops counts of no symbol, which earlier versions wrote.
@@ -380,7 +393,6 @@ impl Reader<'_> {
         self.take::<UNUSED_BYTES>()?;
         Some(Stored {
             version,
-            is_converted: false,
             objects: self.list(Self::name)?,
             places: self.list(Self::name)?,
             persons: self.list(Self::person)?,
@@ -472,7 +484,9 @@ impl Person {
 }
 
 impl Habits {
-    pub(crate) fn stored(&self) -> Stored {
+    /// The habits as values.
+    #[must_use]
+    pub fn stored(&self) -> Stored {
         let names = |names: &Names| {
             names.iter().map(|(name, seen_min)| StoredName { name: name.to_owned(), seen_min }).collect()
         };
@@ -482,7 +496,6 @@ impl Habits {
         };
         Stored {
             version: VERSION,
-            is_converted: false,
             objects: names(&self.home.things),
             places: names(&self.home.places),
             persons: self.persons.clone().iter_mut().map(Person::stored).collect(),
@@ -493,7 +506,7 @@ impl Habits {
     /// Restores stored habits, without a map and without places of persons.
     fn restore(options: HabitsOptions, stored: &Stored) -> Result<Self, StoredError> {
         let mut habits = Self::new(options);
-        habits.is_converted = stored.is_converted;
+        habits.is_converted = stored.version < VERSION;
         let names = [(&stored.objects, &mut habits.home.things, 0), (&stored.places, &mut habits.home.places, 1)];
         for (names, own, known) in names {
             for (at, StoredName { name, seen_min }) in names.iter().enumerate() {
@@ -577,6 +590,14 @@ impl Habits {
             return Err(StoredError::TooLarge { bytes: json.len() });
         }
         let Keyed(stored): Keyed<Stored> = serde_json::from_str(json).map_err(|error| malformed(json_says(&error)))?;
+        Self::from_stored(options, stored)
+    }
+
+    /// Habits of these values.
+    ///
+    /// # Errors
+    /// As [`Habits::from_bytes`].
+    pub fn from_stored(options: HabitsOptions, stored: Stored) -> Result<Self, StoredError> {
         Self::restore(options, &stored.checked()?)
     }
 }

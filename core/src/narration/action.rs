@@ -1,6 +1,6 @@
 //! Atomic actions in VirtualHome's notation, `[PutBack] <plate> (1) <table> (2)`, and the sentence each stands for.
 
-use crate::text::is_hidden;
+use crate::text::{is_hidden, nearest};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::OnceLock;
@@ -141,7 +141,10 @@ impl Action {
         let written = cursor.until(']', "the action's name and `]`")?;
         let name: String = written.chars().filter(|c| !matches!(c, ' ' | '_')).flat_map(char::to_lowercase).collect();
         let Some((verb, _)) = table().get_key_value(&name) else {
-            return Err(ActionError::UnknownVerb { verb: written.to_owned(), nearest: nearest(&name) });
+            return Err(ActionError::UnknownVerb {
+                verb: written.to_owned(),
+                nearest: nearest(&name, table().keys().map(String::as_str)).map(str::to_owned),
+            });
         };
         let mut objects = Vec::new();
         cursor.skip_space();
@@ -250,31 +253,6 @@ impl<'a> Cursor<'a> {
         self.rest = rest;
         Ok(id)
     }
-}
-
-/// The known action that a misspelt one most resembles, if at most a third of its letters must change.
-fn nearest(name: &str) -> Option<String> {
-    // Longer texts are no misspelt verb, and comparing them would cost time.
-    if name.len() > 32 {
-        return None;
-    }
-    let (distance, best) = table().keys().map(|known| (edit_distance(name, known), known)).min()?;
-    (3 * distance <= name.chars().count()).then(|| best.clone())
-}
-
-fn edit_distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, y) in b.iter().enumerate() {
-            let replaced = diagonal + usize::from(x != *y);
-            diagonal = row[j + 1];
-            row[j + 1] = replaced.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
 }
 
 #[cfg(test)]

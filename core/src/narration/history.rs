@@ -241,15 +241,12 @@ impl History {
         most.map_or(0, |(.., oldest)| oldest)
     }
 
-    /// Cuts a full window now rather than at the next observation, so that no event waits for this work. Gives how many observations left; always 0 without slack, where the window is exact.
-    pub(crate) fn compact(&mut self) -> usize {
-        let high = self.limits.observations.saturating_add(self.limits.slack);
-        if self.limits.slack == 0 || self.window.len() < high {
-            return 0;
-        }
-        let left = self.window.len() - self.limits.observations;
-        (0..left).for_each(|_| self.drop_one(Excess::Places));
-        left
+    /// How many observations leave with the next cut, and how many more arrive until then, if one voice speaks and the tokens suffice. `None` while
+    /// the window has places for longer.
+    pub(crate) fn next_cut(&self) -> Option<(usize, usize)> {
+        let over = self.limits.observations.saturating_add(self.limits.slack).saturating_add(1);
+        let is_near = self.window.len() >= self.limits.observations;
+        is_near.then(|| (over - self.limits.observations, over.saturating_sub(self.window.len()).max(1)))
     }
 
     /// The sentences, oldest first.
@@ -337,7 +334,7 @@ impl Histories {
         self.by_person.get(&person).map(|(_, history)| history)
     }
 
-    /// The history of a person, to compact or to end it.
+    /// The history of a person, to end it.
     pub fn get_mut(&mut self, person: PersonId) -> Option<&mut History> {
         self.by_person.get_mut(&person).map(|(_, history)| history)
     }

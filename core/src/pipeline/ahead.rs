@@ -1,10 +1,12 @@
 //! Prefetching and idle-time work.
 
-use super::{Due, Pipeline};
+use super::{Due, Pipeline, PipelineError};
+use crate::grounding::GroundedScores;
 use crate::ids::PersonId;
 use crate::narration::history::History;
 use crate::prepared::{Answer, Outlook, PersonOutlook};
-use crate::scorer::{LanguageModel, Progress};
+use crate::prompt::write_prompt;
+use crate::scorer::{LabelScores, LanguageModel, Progress, ScoreError, Tokenisation};
 
 /// Prefetches answers and does idle-time work: [`Pipeline::ahead`].
 #[derive(Debug)]
@@ -27,34 +29,84 @@ impl<M: LanguageModel> Ahead<'_, M> {
         Outlook::new(&self.0.prepared, self.0.histories.iter().map(of).collect(), round)
     }
 
+    /// The room probabilities after one sentence alone, without any person's window; of an empty text, after none. Scores, windows and explanations
+    /// are unchanged. The model has to read the narration of the last scored person again, which idle time does.
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub fn rooms_of(&mut self, text: &str) -> Result<Vec<f64>, PipelineError> {
+        let own = &mut *self.0;
+        let trailing_space = own.options.tokenisation == Tokenisation::Paper;
+        let mut prompt = String::new();
+        let text = Some(text).filter(|text| !text.is_empty());
+        write_prompt(text, &own.options.binding, trailing_space, &mut prompt);
+        let (mut scores, mut grounded, mut nodes) = (LabelScores::default(), GroundedScores::default(), Vec::new());
+        own.scorer.exchange_nodes(&mut nodes);
+        let scored = own.scorer.score(&own.prepared, &prompt, own.options.method, &mut scores);
+        own.scorer.exchange_nodes(&mut nodes);
+        own.is_unread = true;
+        scored?;
+        own.grounding.ground(&scores.log_prob_nats, &mut grounded)?;
+        Ok(grounded.partition_probability)
+    }
+
     /// Stores a prefetched answer, and returns whether it is useful. It is useless if its person has acted since, the labels have changed, or the
     /// person already has [`crate::prepared::ANSWERS_MAX`] answers. It may replace another person's answer.
     pub fn keep_answer(&mut self, answer: Answer) -> bool {
         self.0.answers.keep(answer, &self.0.histories)
     }
 
-    /// Does a small step of idle-time work: clears unusable data from the model's cache, cuts full history windows, and decodes narration that the
-    /// model has not read yet, so that no event waits for it. Returns whether there is more to do.
+    /// Does a small part of the idle-time work: clears unusable data from the model's cache, and lets the model read what the next events need, so that
+    /// no event waits for it. Returns whether there is more to do.
     pub fn tidy(&mut self) -> bool {
         self.0.scorer.tidy();
-        let Some(person) = self.0.read else { return false };
-        let Some(history) = self.0.histories.get_mut(person) else { return false };
-        self.0.is_unread |= history.compact() > 0;
-        if !self.0.is_unread || !self.0.options.binding.uses_narration() {
+        self.read(true)
+    }
+
+    /// Does a small part of that work after an event. The events until the next cut of the window do their parts, so the event that cuts it takes no
+    /// longer than others, even if no idle time was between them.
+    pub fn read_on(&mut self) {
+        self.read(false);
+    }
+
+    /// Returns whether there is more to read. A failure costs only time: the next event decodes the prompt, and reports the error if it persists.
+    fn read(&mut self, is_idle: bool) -> bool {
+        let Pipeline { scorer, histories, persons, prompt, options, read, is_unread, .. } = &mut *self.0;
+        let Some(history) = read.and_then(|person| histories.get(person)) else { return false };
+        if !options.binding.uses_narration() {
             return false;
         }
-        self.0.prompt.clear();
-        for sentence in history.sentences() {
-            if !self.0.prompt.is_empty() {
-                self.0.prompt.push(' ');
+        let write = |prompt: &mut String, left: usize| {
+            prompt.clear();
+            for sentence in history.sentences().skip(left) {
+                if !prompt.is_empty() {
+                    prompt.push(' ');
+                }
+                prompt.push_str(sentence);
             }
-            self.0.prompt.push_str(sentence);
+        };
+        let mut is_read = true;
+        let mut note = |done: Result<bool, ScoreError>| {
+            is_read &= done.unwrap_or_else(|error| {
+                tracing::debug!(%error, "failed to read narration ahead");
+                true
+            });
+        };
+        if *is_unread {
+            write(prompt, 0);
+            note(scorer.read_ahead(prompt));
+            *is_unread = !is_read;
+            return true;
         }
-        // A failure costs only time: the next event decodes the prompt, and reports the error if it persists.
-        self.0.is_unread = !self.0.scorer.read_ahead(&self.0.prompt).unwrap_or_else(|error| {
-            tracing::debug!(%error, "failed to read narration ahead");
-            true
-        });
-        self.0.is_unread
+        if persons.iter().filter(|person| person.at_home).nth(1).is_some() {
+            // Another person's event takes the model's cache, and this window stays for the next event of this person.
+            write(prompt, 0);
+            note(scorer.read_aside(prompt, 1));
+        }
+        if let Some((leave, events)) = history.next_cut() {
+            write(prompt, leave);
+            note(scorer.read_aside(prompt, if is_idle { 1 } else { events }));
+        }
+        !is_read
     }
 }

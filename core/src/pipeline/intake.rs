@@ -90,8 +90,9 @@ impl<M: LanguageModel> Intake<'_, M> {
 
     /// Forgets a person.
     pub fn forget_person(&mut self, person: PersonId) {
-        // Prefetched prompts contain the person's actions.
+        // Prefetched prompts and the model's cache contain the person's actions.
         self.0.answers.clear();
+        self.0.scorer.forget();
         self.0.histories.remove(person);
         self.0.persons.retain(|p| p.id != person);
     }
@@ -101,6 +102,7 @@ impl<M: LanguageModel> Intake<'_, M> {
         let changed = self.0.histories.forget(is_it);
         if !changed.is_empty() {
             self.0.answers.clear();
+            self.0.scorer.forget();
         }
         let turn = self.0.heard.turns();
         let theirs = self.0.persons.iter_mut().filter(|own| changed.contains(&own.id) && own.at_home);

@@ -126,7 +126,7 @@ pub struct Pipeline<M> {
     prompt: String,
     /// The person whose prompt was scored last.
     read: Option<PersonId>,
-    /// The model has not decoded all of that person's narration: the answer was prefetched, or the window was cut.
+    /// The model has not decoded all of that person's narration, because the answer was prefetched.
     is_unread: bool,
     /// Duration of the last decoder call with a prompt.
     prompt_ns: u64,
@@ -449,8 +449,14 @@ impl<M: LanguageModel> Pipeline<M> {
     }
 }
 
+/// Tokens of a sentence with its separator, for the memory of a usual window. The shipped programs need 8 on average, and 11 at most.
+const SENTENCE_TOKENS: usize = 12;
+
 /// Prepares the map's labels and returns them with the token limit of narration: `history_tokens`, or less if the labels and the binding sequence
-/// leave less of the model's context. Allocates only that much of the model's memory.
+/// leave less of the model's context.
+///
+/// This is the bound of the model's memory: narration, binding sequence and labels. A window of usual sentences is allocated now; for longer ones
+/// the model allocates more, up to the bound ([`LanguageModel::reserve`]).
 fn prepare<M: LanguageModel>(
     scorer: &mut Scorer<M>,
     grounding: &Grounding,
@@ -467,7 +473,9 @@ fn prepare<M: LanguageModel>(
         return Err(PipelineError::ContextTooSmall { context, needed });
     }
     let tokens = history_tokens.min(context - needed);
-    scorer.reserve(needed + tokens)?;
+    let HistoryLimits { observations, slack, .. } = options.history;
+    let usual = observations.saturating_add(slack).saturating_add(1).saturating_mul(SENTENCE_TOKENS);
+    scorer.reserve(needed + tokens.min(usual))?;
     scorer.learn_prior(&mut prepared)?;
     Ok((prepared, tokens))
 }

@@ -142,17 +142,17 @@ fn contexts_hold_the_window_the_binding_and_the_labels_and_no_more() {
     };
     let beside =
         |pipeline: &Pipeline<Reserving>| asked.load(Ordering::Relaxed) - pipeline.inside().options().history.tokens;
-    let (small, large) = (of(100), of(300));
+    let (small, large) = (of(100), of(150));
     let labels = small.inside().prepared();
     let trees = labels.trie().inner().len() + labels.longest_label();
     drop(of(100));
     let needed = beside(&small);
     assert!(needed > trees && needed <= trees + 1 + BindingSequence::default().text().len() + 1, "{needed}, {trees}");
-    drop(of(300));
+    drop(of(150));
     assert_eq!(beside(&large), needed, "the window grows the context by as much");
-    // An unbounded window is limited by the model's context.
+    // An unbounded window gets memory for usual sentences.
     drop(of(usize::MAX));
-    assert_eq!(asked.load(Ordering::Relaxed), model().info().context_tokens);
+    assert_eq!(asked.load(Ordering::Relaxed), needed + 17 * SENTENCE_TOKENS);
     // A map with more labels needs more.
     let mut pipeline = of(100);
     let before = asked.load(Ordering::Relaxed);
@@ -472,6 +472,22 @@ fn persons_do_not_hide_each_other() {
     assert_eq!(together.label_mass, (of(PersonId(0)).label_mass + of(PersonId(1)).label_mass) / 2.0);
     let mass: f64 = both.scores().label_log_prob_nats.iter().map(|nats| nats.exp()).sum();
     assert!((mass - together.label_mass).abs() < 1e-12);
+}
+
+#[test]
+fn each_person_has_the_same_weight_in_the_scores_of_labels() {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let model = WholePrompt(TableModel::new(7));
+    let mut both = pipeline_of(model, &map, Effort::Exact, CorrectionChoice::EQUATION_1);
+    both.step([observation(1, PersonId(0)), observation(2, PersonId(1))]).unwrap();
+    let own = [0, 1].map(|person| both.inside().person(PersonId(person)).unwrap());
+    let mass = own.map(|own| own.grounded.label_mass);
+    assert_ne!(mass[0], mass[1]);
+    for (label, nats) in both.scores().label_log_prob_nats.iter().enumerate() {
+        let share = |own: PersonScores| own.label_log_prob_nats[label].exp() / own.grounded.label_mass;
+        let expected = (mass[0] + mass[1]) / 2.0 * (share(own[0]) + share(own[1])) / 2.0;
+        assert!((nats.exp() - expected).abs() < 1e-12, "{label}: {nats} {expected}");
+    }
 }
 
 fn presence(sequence: u64, person: PersonId, text: &str) -> Observation {

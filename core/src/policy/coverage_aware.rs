@@ -109,7 +109,6 @@ impl Policy for CoverageAware {
         // Draws once, so that paired runs with random policies stay paired.
         let _: f64 = rand::RngExt::random(rng);
         let to_do = covered.iter().filter(|done| !**done).count();
-        let stays = plan.partitions.len();
         let all_done = state.covered.iter().all(|done| *done);
         let now = match (all_done, covered[first]) {
             (true, _) => "all rooms are done: waits where it is least likely to meet somebody",
@@ -118,33 +117,32 @@ impl Policy for CoverageAware {
         };
         // A closed room is not in the plan, but still to do.
         let is_all = to_do == state.covered.iter().filter(|done| !**done).count();
-        let does = match (plan.works, plan.undone) {
-            (0, _) => "no room".to_owned(),
-            (1, 0) if is_all => "the last room to do".to_owned(),
-            (works, 0) if is_all => format!("all {works} rooms to do"),
-            (1, 0) => "the only open room to do".to_owned(),
-            (works, 0) => format!("all {works} open rooms to do"),
-            (works, undone) => format!("{works} of {} to do", count(works + undone, "room")),
+        let rooms = match (plan.works, plan.undone) {
+            (works, 0) if is_all => format!("{} left", count(works, "room")),
+            (works, 0) => format!("{} left", count(works, "open room")),
+            (works, undone) => format!("{works} of {}", count(works + undone, "room")),
         };
-        let beside = match plan.works {
+        let does = match plan.works {
             0 => String::new(),
-            _ => format!(", {:.0} s of it beside people", plan.work_s),
+            _ => format!("; plan: {rooms}, about {} near people", about(plan.work_s)),
         };
-        let late = plan.undone.min(to_do.saturating_sub(stays));
+        let late = plan.undone.min(to_do.saturating_sub(plan.partitions.len()));
         let mut left = match late {
             0 => String::new(),
             late => format!("; there is no time for {}", count(late, "room")),
         };
         match plan.undone - late {
             0 => {}
-            1 => left += &format!("; 1 room would take more than {weight_s:.0} s beside people"),
-            dear => left += &format!("; {dear} rooms would each take more than {weight_s:.0} s beside people"),
+            1 => left += &format!("; 1 room would take more than {weight_s:.0} s near people"),
+            dear => left += &format!("; {dear} rooms would each take more than {weight_s:.0} s near people"),
         }
-        Ok(Choice {
-            partition: partition_id(open[first]),
-            reason: format!("{now}; the plan for {} does {does}{beside}{left}", count(stays, "stay")),
-        })
+        Ok(Choice { partition: partition_id(open[first]), reason: format!("{now}{does}{left}") })
     }
+}
+
+/// A time in words: "40 s", "4 min".
+fn about(seconds: f64) -> String {
+    if seconds < 90.0 { format!("{seconds:.0} s") } else { format!("{:.0} min", seconds / 60.0) }
 }
 
 /// A room for every remaining slot.
@@ -577,14 +575,11 @@ mod tests {
         let alike = vec![100.0; 144 * 6];
         let said = |covered: &[bool]| choose(covered, &alike, 600.0, None).reason;
         let whole = said(&[false; 6]);
-        assert!(
-            whole.ends_with("works here; the plan for 144 stays does all 6 rooms to do, 600 s of it beside people"),
-            "{whole}"
-        );
+        assert!(whole.ends_with("works here; plan: 6 rooms left, about 10 min near people"), "{whole}");
         let one = said(&[true, true, false, true, true, true]);
-        assert!(one.ends_with("does the last room to do, 100 s of it beside people"), "{one}");
+        assert!(one.ends_with("; plan: 1 room left, about 2 min near people"), "{one}");
         let none = said(&[true; 6]);
-        assert!(none.ends_with("; the plan for 144 stays does no room"), "{none}");
+        assert!(none.ends_with("least likely to meet somebody"), "{none}");
     }
 
     #[test]
@@ -603,20 +598,20 @@ mod tests {
         assert_eq!((plan.partitions, plan.undone), (vec![1], 2));
         let few = choose(&[false; 3], &[5.0, 1.0, 3.0], 600.0, None);
         assert!(
-            few.reason.ends_with("does 1 of 3 rooms to do, 1 s of it beside people; there is no time for 2 rooms"),
+            few.reason.ends_with("plan: 1 of 3 rooms, about 1 s near people; there is no time for 2 rooms"),
             "{}",
             few.reason
         );
         // Two of three rooms fit into the time, and the better of the other two is too expensive.
         let both = choose(&[false; 3], &[0.0, 500.0, 500.0, 0.0, 500.0, 500.0], 600.0, None);
-        let left = "; there is no time for 1 room; 1 room would take more than 400 s beside people";
+        let left = "; there is no time for 1 room; 1 room would take more than 400 s near people";
         assert!(both.reason.ends_with(left), "{}", both.reason);
         let dear = choose(&[false, true, false], &[590.0, 10.0, 590.0], 600.0, Some(240.0));
-        let left = "; there is no time for 1 room; 1 room would take more than 240 s beside people";
+        let left = "; there is no time for 1 room; 1 room would take more than 240 s near people";
         assert!(dear.reason.ends_with(left), "{}", dear.reason);
         let dear = choose(&[false, true], &[590.0, 10.0], 600.0, None);
         assert!(dear.reason.starts_with("waits in a room that is done"), "{}", dear.reason);
-        let left = "does no room; 1 room would take more than 240 s beside people";
+        let left = "waits in a room that is done; 1 room would take more than 240 s near people";
         assert!(dear.reason.ends_with(left), "{}", dear.reason);
     }
 

@@ -191,7 +191,7 @@ pub trait LanguageModel {
         Ok(())
     }
 
-    /// Drops the kept prefix: the next call decodes the whole prompt. Does nothing if the model keeps no prefix.
+    /// Drops all kept prefixes: the next call decodes the whole prompt. Does nothing if the model keeps none.
     fn forget(&mut self) {}
 
     /// Decodes `prompt` (the prefix shared with the last call's prompt is reused), then `tree` after it, and passes each row of logits to `visit`:
@@ -217,6 +217,16 @@ pub trait LanguageModel {
     /// As [`LanguageModel::decode`].
     fn read(&mut self, prompt: &[Token]) -> Result<bool, ModelError> {
         self.decode(prompt, &TokenTree::default(), false, &mut |_, _| {})?;
+        Ok(true)
+    }
+
+    /// Decodes a further part of a prompt that another decode may need later, for example after the next cut of a window, without the loss of the kept
+    /// prefix. The part is short enough not to delay an event, and `calls` such calls decode all if the model is fast enough. Returns whether the
+    /// whole prompt is decoded. The default does nothing.
+    ///
+    /// # Errors
+    /// As [`LanguageModel::decode`].
+    fn read_aside(&mut self, _prompt: &[Token], _calls: usize) -> Result<bool, ModelError> {
         Ok(true)
     }
 
@@ -476,7 +486,7 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(self.model.reserve(positions)?)
     }
 
-    /// Drops the kept prefix.
+    /// Drops all kept prefixes.
     pub fn forget(&mut self) {
         self.model.forget();
     }
@@ -830,6 +840,15 @@ impl<M: LanguageModel> Scorer<M> {
             return Ok(true);
         }
         Ok(self.model.read(&self.prompt)?)
+    }
+
+    /// Decodes a small part of `prompt` for later ([`LanguageModel::read_aside`]). Returns whether all of it is decoded.
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub(crate) fn read_aside(&mut self, prompt: &str, calls: usize) -> Result<bool, ScoreError> {
+        self.cut_prompt(prompt)?;
+        Ok(self.model.read_aside(&self.prompt, calls)?)
     }
 
     /// Scores the labels of `trie` after `self.prompt`, and appends the scores to `out`. `places` maps nodes of `trie` to nodes of `prepared.trie`;

@@ -48,7 +48,7 @@ mod situations;
 pub use belief::SLOTS_MAX;
 pub use home::{Home, ROOMS_MAX, RoomUse};
 pub use motion::Movement;
-pub use observe::{Observation, ROBOT_SILENT_S};
+pub use observe::{Observation, ROBOT_SILENT_S, evenness};
 pub use sensors::{SensorKind, SensorSpec};
 pub use trace::{Cause, Reason};
 
@@ -498,6 +498,12 @@ impl Tracker {
         let rooms = self.home.rooms();
         let Some(slot) = self.slot(person) else { return 0.0 };
         self.marginals.get(slot * (rooms + 1) + room.unwrap_or(rooms).min(rooms)).copied().unwrap_or(0.0)
+    }
+
+    /// Whether a robot explains what sensors see in a room.
+    #[must_use]
+    pub fn has_robot(&self, room: usize) -> bool {
+        self.robot_until_s.get(room).is_some_and(|until_s| self.now_s < *until_s)
     }
 
     /// Probability that at least one person, known or unknown, is in a room.

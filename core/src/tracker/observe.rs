@@ -23,6 +23,14 @@ pub enum Observation<'a> {
         /// Likelihood per room.
         rooms: &'a [f64],
     },
+    /// As [`Observation::Deed`], by a text that names no place. `rooms` are the language model's: without a place in the text they fit several
+    /// rooms, and the more alike they are, the less they say that the filter lost the person.
+    Text {
+        /// Who.
+        who: Option<usize>,
+        /// Likelihood per room.
+        rooms: &'a [f64],
+    },
     /// A person is present, in a room if it is known.
     Present {
         /// Who.
@@ -103,7 +111,8 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
     let has = |room: usize| room < rooms;
     match *observation {
         Observation::Sensor { sensor, on } => return sensor_reports(own, sensor, on),
-        Observation::Deed { who, rooms: list } => deed(own, who, list, trust)?,
+        Observation::Deed { who, rooms: list } => deed(own, who, list, 1.0, trust)?,
+        Observation::Text { who, rooms: list } => deed(own, who, list, 1.0 - evenness(list), trust)?,
         Observation::Present { who: Some(person), room } => {
             let slot = own.slot(person)?;
             if room.is_some_and(|room| !has(room)) {
@@ -168,7 +177,7 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
         }
     }
     Some(match observation {
-        Observation::Deed { .. } | Observation::Lies { .. } => Cause::Deed,
+        Observation::Deed { .. } | Observation::Text { .. } | Observation::Lies { .. } => Cause::Deed,
         Observation::Present { .. } => Cause::Present,
         Observation::Empty { .. } => Cause::Empty,
         Observation::Count { .. } => Cause::Count,
@@ -218,8 +227,17 @@ fn relocate(own: &mut Tracker, slot: usize, lost: f64, places: &[(Place, f64)]) 
     });
 }
 
-/// An action: the likelihood of its text where the person is. Of an unknown person, where the most probable person is.
-fn deed(own: &mut Tracker, who: Option<usize>, list: &[f64], trust: f64) -> Option<()> {
+/// The entropy of a text's likelihood, as a share of the most that its rooms can have.
+pub fn evenness(list: &[f64]) -> f64 {
+    let sound = || list.iter().copied().filter(|own| own.is_finite() && *own > 0.0);
+    let sum: f64 = sound().sum();
+    let entropy: f64 = sound().map(|own| -own / sum * (own / sum).ln()).sum();
+    if list.len() > 1 { (entropy / (list.len() as f64).ln()).clamp(0.0, 1.0) } else { 1.0 }
+}
+
+/// An action: the likelihood of its text where the person is. Of an unknown person, where the most probable person is. `placed` is how surely the
+/// text places a person that the filter lost.
+fn deed(own: &mut Tracker, who: Option<usize>, list: &[f64], placed: f64, trust: f64) -> Option<()> {
     let rooms = own.home.rooms();
     let raw = |room: usize| list.get(room).copied().filter(|own| own.is_finite() && *own > 0.0).unwrap_or(0.0);
     let sum: f64 = (0..rooms).map(raw).sum();
@@ -236,7 +254,8 @@ fn deed(own: &mut Tracker, who: Option<usize>, list: &[f64], trust: f64) -> Opti
                 relocate(own, slot, LOST_DEED * own.probability(person, None), places.list());
                 own.belief.weigh(|key| if room_of(place(key, slot)).is_none() { 1.0 - trust } else { trust });
             } else {
-                relocate(own, slot, LOST_DEED, places.list());
+                let lost = LOST_DEED * if placed < 1.0 { placed.max(own.probability(person, None)) } else { 1.0 };
+                relocate(own, slot, lost, places.list());
                 own.belief.weigh(|key| trust * at(place(key, slot)) + (1.0 - trust) * even);
             }
         }
@@ -429,7 +448,7 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
                 });
             }
         }
-        Observation::Deed { who, rooms: list } => match named(who) {
+        Observation::Deed { who, rooms: list } | Observation::Text { who, rooms: list } => match named(who) {
             Some(slot) => shares[slot] = 1.0,
             None => {
                 spread(&|_, place| room_of(place).map_or(0.0, |room| list.get(room).copied().unwrap_or(1.0).max(0.0)))

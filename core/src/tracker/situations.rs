@@ -250,6 +250,30 @@ fn an_action_with_a_place_moves_its_person_only() {
 }
 
 #[test]
+fn texts_without_a_place_move_their_person_if_they_fit_one_room_and_not_if_they_fit_all() {
+    // The shipped model in a flat, by bedroom, hall, bath, kitchen, living room and office.
+    let cooks = [0.14, 0.19, 0.63, 2.73, 0.23, 0.08];
+    let smiles = [1.15, 1.15, 0.75, 0.98, 1.18, 0.83];
+    let after = |who, rooms: &[f64]| {
+        let mut tracker = Tracker::new(self::rooms(), Options::default(), 0.0);
+        (0..2).for_each(|_| assert!(tracker.add_person().is_ok()));
+        for (person, room) in [(JON, KITCHEN), (MIRA, LIVING), (JON, KITCHEN), (MIRA, LIVING)] {
+            tracker.observe(0.0, &Observation::Present { who: Some(person), room: Some(room) }, 0.99);
+        }
+        tracker.observe(60.0, &Observation::Text { who, rooms }, 0.99);
+        tracker
+    };
+    let kitchen = |tracker: &Tracker| tracker.probability(MIRA, Some(KITCHEN));
+    let (vague, clear) = (after(Some(MIRA), &smiles), after(Some(MIRA), &cooks));
+    assert!(kitchen(&clear) > kitchen(&vague) + 0.2, "{} {}", kitchen(&clear), kitchen(&vague));
+    let (said, silent) =
+        (vague.probability(MIRA, Some(LIVING)), after(None, &[1.0; 6]).probability(MIRA, Some(LIVING)));
+    assert!((said - silent).abs() < 0.03, "{said} {silent}");
+    let anonymous = after(None, &cooks);
+    assert!(anonymous.attribution(JON) > 0.7 && anonymous.probability(MIRA, Some(LIVING)) > 0.8);
+}
+
+#[test]
 fn an_unknown_action_where_a_known_person_is_belongs_to_that_person() {
     let mut play = Play::new();
     play.put(MIRA, LIVING).on(S::PresenceLiving).put(JON, KITCHEN).on(S::MotionKitchen).after(60.0);

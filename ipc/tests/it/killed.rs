@@ -5,13 +5,13 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, SystemTime};
 
 use roomcast_ipc::raw::{DecisionV1, ForecastV1, Message, NarrationV1, RoomScoresV1, StatusResponseV1, narration_kind};
 use roomcast_ipc::{Domain, Node, Subscriber, question};
 
 use crate::Private;
-use crate::eventually::eventually;
+use crate::eventually::{eventually, waited};
 
 const KILLS: usize = 300;
 /// Set in a child: role, root path, domain name.
@@ -141,6 +141,7 @@ fn nothing_stays_of_participants_killed_at_any_moment() {
     let mut children = roles.map(|role| start(role, domain));
     for _ in 0..kills {
         let who = below(3) as usize;
+        // A random moment of its life.
         std::thread::sleep(Duration::from_micros(below(20_000)));
         children[who].kill().unwrap();
         children[who].wait().unwrap();
@@ -150,18 +151,17 @@ fn nothing_stays_of_participants_killed_at_any_moment() {
         child.kill().unwrap();
         child.wait().unwrap();
     }
-    let start = Instant::now();
     // Sockets keep their age: half-made ones are removed after ten seconds.
-    let mut left = files(domain);
-    while left.len() > own && start.elapsed() < Duration::from_secs(40) {
+    let mut left = Vec::new();
+    let _clean = waited(Duration::from_secs(40), || {
         node.clean_up_dead();
         let still = files(domain);
         if still == left {
             age(&still);
-            std::thread::sleep(Duration::from_millis(20));
         }
         left = still;
-    }
+        (left.len() <= own).then_some(())
+    });
     drop((living, node));
     let left = files(domain);
     println!("{kills} kills, left behind: {}", left.len());

@@ -263,6 +263,7 @@ fn status_is_answered_or_its_absence_is_said() {
     let thread = std::thread::spawn(move || {
         while stopped.try_recv().is_err() {
             server.answer(|| StatusResponseV1 { steps: 42, ..Default::default() }).unwrap();
+            // The daemon's pace.
             std::thread::sleep(Duration::from_millis(1));
         }
     });
@@ -282,6 +283,7 @@ fn questions_in_words_are_answered_at_any_length_or_their_absence_is_said() {
     let thread = std::thread::spawn(move || {
         while stopped.try_recv().is_err() {
             server.answer(|asked| asked.unwrap().chars().rev().collect()).unwrap();
+            // The daemon's pace.
             std::thread::sleep(Duration::from_millis(1));
         }
     });
@@ -598,6 +600,7 @@ fn what_belongs_to_the_living_is_left_alone_however_old() {
             while !stop.load(std::sync::atomic::Ordering::Relaxed) {
                 moments.answer(|asked| asked.unwrap().to_uppercase()).unwrap();
                 status.answer(StatusResponseV1::default).unwrap();
+                // The daemon's pace.
                 std::thread::sleep(Duration::from_millis(1));
             }
         });

@@ -17,6 +17,8 @@ use roomcast_lab::home_simulation::recorded::Recorded;
 
 /// Most residents of a simulated home.
 const RESIDENTS_MAX: usize = 4;
+/// Most residents of the exact filter.
+const EXACT_MAX: usize = 2;
 /// Most days of one row.
 const DAYS_MAX: usize = 10_000;
 
@@ -41,6 +43,9 @@ pub(super) struct PersonsArgs {
     /// Most joint states that the filter keeps; a home of two or one keeps a quarter.
     #[arg(long, value_name = "N", default_value_t = Options::default().states, value_parser = ranges::whole(2..=100_000_usize))]
     states: usize,
+    /// Also run the filter that keeps every joint state, in homes of one or two: minutes for each day of two residents.
+    #[arg(long)]
+    exact: bool,
     /// A folder of days in HOMER+'s format, once per resident, in place of written days.
     #[arg(long, value_name = "FOLDER", requires = "scene")]
     household: Vec<PathBuf>,
@@ -66,7 +71,12 @@ pub(super) fn run(args: &PersonsArgs) -> CommandResult {
         Some(without) => vec![without.clone()],
         None => vec![Vec::new(), vec![Device::Bed], vec![Device::Bed, Device::Presence]],
     };
-    let methods = [Method::Tracker, Method::Assigned, Method::LastSensor];
+    if args.exact && residents.iter().any(|residents| *residents > EXACT_MAX) {
+        let fault = format!("--exact is for at most {EXACT_MAX} residents: give --residents {EXACT_MAX}");
+        return Err(Failure::new(exit_code::USAGE, fault));
+    }
+    let methods = [Method::Tracker, Method::Exact, Method::Assigned, Method::LastSensor];
+    let methods: Vec<Method> = methods.into_iter().filter(|own| *own != Method::Exact || args.exact).collect();
     let progress = Progress::new("homes", residents.len() * lacks.len() * args.days.div_ceil(10));
     let mut rows = Vec::new();
     for residents in residents {
@@ -132,6 +142,7 @@ fn text(rows: &[Row]) -> String {
     for row in rows {
         let method = match row.method {
             Method::Tracker => "tracker",
+            Method::Exact => "exact",
             Method::Assigned => "a filter per person",
             Method::LastSensor => "last sensor",
         };

@@ -49,6 +49,8 @@ pub struct Setup {
 pub enum Method {
     /// The joint filter.
     Tracker,
+    /// The joint filter that keeps every state.
+    Exact,
     /// One filter per person; each anonymous report goes to the person it fits best.
     Assigned,
     /// The last sensor of each person; each anonymous report moves the nearest person.
@@ -213,8 +215,10 @@ fn recorded_days(recorded: &Recorded, first: usize, days: usize) -> Truth {
 
 fn believer(plan: &Plan, setup: &Setup, method: Method) -> Result<Box<dyn Believer>, TrackerError> {
     Ok(match method {
-        Method::Tracker => {
-            let mut filter = Filter::new(plan, setup, setup.residents)?;
+        Method::Tracker | Method::Exact => {
+            let exact = TrackerOptions { learns: setup.tracker.learns, ..TrackerOptions::exact() };
+            let tracker = if method == Method::Exact { exact } else { setup.tracker };
+            let mut filter = Filter::new(plan, tracker, setup.residents)?;
             for spec in plan.sensors(&setup.without) {
                 filter.tracker.add_sensor(spec)?;
             }
@@ -293,8 +297,8 @@ struct Filter {
 }
 
 impl Filter {
-    fn new(plan: &Plan, setup: &Setup, persons: usize) -> Result<Self, TrackerError> {
-        let mut tracker = Tracker::new(plan.home.clone(), setup.tracker, 0.0);
+    fn new(plan: &Plan, options: TrackerOptions, persons: usize) -> Result<Self, TrackerError> {
+        let mut tracker = Tracker::new(plan.home.clone(), options, 0.0);
         for _ in 0..persons {
             tracker.add_person()?;
         }
@@ -371,7 +375,7 @@ impl Assigned {
         let specs = plan.sensors(&setup.without);
         let mut filters = Vec::new();
         for person in 0..setup.residents {
-            let mut filter = Filter::new(plan, setup, 1)?;
+            let mut filter = Filter::new(plan, setup.tracker, 1)?;
             for spec in &specs {
                 let own = if spec.person == Some(person) { Some(0) } else { None };
                 filter.tracker.add_sensor(SensorSpec { person: own, ..*spec })?;

@@ -11,7 +11,6 @@ use roomcast_core::scorer::LanguageModel;
 
 use super::board::Board;
 use super::journal::JournalHandle;
-use super::keeper::Keeper;
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
 use super::persons::{Called, NotRenamed};
@@ -40,7 +39,7 @@ pub(super) fn answer_change<M: LanguageModel>(
     });
     let regrouped_in_ns = clock::monotonic_ns().since(start_ns);
     let mut number = 0;
-    board.tell_beliefs(|believed| number = journal.map_or(0, |journal| journal.keep_belief(&believed)));
+    board.tell_beliefs(|believed| number = journal.map_or(0, |journal| journal.append(believed)));
     // After a timeout only the places of persons can be lost.
     let _written = journal.is_none_or(|journal| journal.wait_for(number, BELIEFS_PATIENCE));
     let kept = result.is_ok()
@@ -73,7 +72,7 @@ pub(super) fn answer_change<M: LanguageModel>(
 /// Does the requested change of a person, and returns the known persons after it.
 pub(super) fn answer_about_person<M: LanguageModel>(
     board: &mut Board<M>,
-    (journal, keeper): (Option<&JournalHandle>, Option<&Keeper>),
+    journal: Option<&JournalHandle>,
     asked: Result<PersonQuestion, String>,
 ) -> PersonAnswer {
     let find = |board: &Board<M>, who: &str| {
@@ -109,7 +108,7 @@ pub(super) fn answer_about_person<M: LanguageModel>(
             if !is_somebody {
                 who.parse::<Who>().map_err(|error| error.to_string())?;
             }
-            let (left, records) = forget(board, (journal, keeper), person, &who, is_somebody);
+            let (left, records) = forget(board, journal, person, &who, is_somebody);
             if records == 0 && !is_learned { is_known.map(|_| left) } else { Ok(left) }
         }
     });
@@ -124,7 +123,7 @@ pub(super) fn answer_about_person<M: LanguageModel>(
 /// (`is_somebody`), other persons' events that mention the name are deleted as well; an unknown name might be any word.
 fn forget<M: LanguageModel>(
     board: &mut Board<M>,
-    (journal, keeper): (Option<&JournalHandle>, Option<&Keeper>),
+    journal: Option<&JournalHandle>,
     person: PersonId,
     who: &str,
     is_somebody: bool,
@@ -144,11 +143,10 @@ fn forget<M: LanguageModel>(
     // Observations in a window are already attributed.
     board.forget(person, |observation| is_theirs(observation, Some(observation.person)));
     let until = Instant::now() + FORGET_PATIENCE;
-    // The journal comes last: it rewrites the database, so that no free page has the name.
     let in_file = board.persons_mut().file_mut().remove(person);
     let in_journal = journal.map_or(Ok(0), |journal| journal.forget(person, is_theirs, until));
     let records = *in_journal.as_ref().unwrap_or(&1);
-    let in_habits = write_habits(board, keeper, until);
+    let in_habits = forget_habits(board, journal, until);
     let error = in_journal.err().or(in_file.err()).or(in_habits.err());
     (error.map(|error| not_yet_kept(&error)), records)
 }
@@ -166,15 +164,14 @@ fn not_yet_kept(error: &io::Error) -> String {
 }
 
 /// Writes the remaining habits after a person was forgotten, and waits `until` then.
-pub(super) fn write_habits<M: LanguageModel>(
+pub(super) fn forget_habits<M: LanguageModel>(
     board: &mut Board<M>,
-    keeper: Option<&Keeper>,
+    journal: Option<&JournalHandle>,
     until: Instant,
 ) -> io::Result<()> {
-    let Some(keeper) = keeper else { return Ok(()) };
-    let habits = board.habits_mut();
-    let Some(memory) = habits.memory_if_changed() else { return Ok(()) };
-    keeper.forget(memory, until).inspect_err(|_| habits.keep_changed())
+    let Some(journal) = journal else { return Ok(()) };
+    let Some(memory) = board.habits_mut().memory_if_changed() else { return Ok(()) };
+    journal.forget_habits(memory, until)
 }
 
 #[cfg(test)]

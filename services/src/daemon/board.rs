@@ -38,6 +38,7 @@ mod belief;
 mod habit_reasons;
 mod map_in_use;
 mod publication;
+mod readings;
 mod records;
 mod restoring;
 mod robots;
@@ -257,6 +258,7 @@ impl<M: LanguageModel> Board<M> {
         self.scoring.rescored.extend(self.attribution.persons.iter().map(|(person, _)| person));
         self.map.change(map, rooms, self.scoring.pipeline.grounding());
         self.belief.tracking = None;
+        self.scoring.readings.clear();
         self.belief.robots.forget_rooms();
         self.note_beliefs();
         Ok(prepared)
@@ -339,6 +341,7 @@ impl<M: LanguageModel> Board<M> {
         self.lose(person);
         self.scoring.pipeline.intake().forget_told(is_theirs);
         self.attribution.forget_texts();
+        self.scoring.readings.clear();
         self.belief.sensors.forget(person);
         self.home.forget(person);
         self.forget_ahead();
@@ -421,6 +424,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     fn follow(&mut self) {
+        self.read_seen();
         self.belief.follow((&mut self.map, &self.scoring.pipeline), &mut self.attribution, &mut self.home);
     }
 
@@ -448,6 +452,7 @@ impl<M: LanguageModel> Board<M> {
             // A permanently failing scorer must not fill the memory.
             self.belief.drop_unwatched();
         }
+        self.scoring.readings.begin();
         self.attribution.persons.remove_gone();
         self.home.set_clock(now_ns, now_unix_ns);
         self.belief.local_ahead_s = self.home.local_ahead_s(now_ns, now_unix_ns);
@@ -612,6 +617,11 @@ impl<M: LanguageModel> Board<M> {
     #[must_use]
     pub fn map(&self) -> &SemanticMap {
         &self.map.map
+    }
+
+    /// Does a small part of the model's reading after an event.
+    pub(super) fn read_on(&mut self) {
+        self.scoring.pipeline.ahead().read_on();
     }
 
     /// Does a small part of the postponed work. Returns whether there is more.

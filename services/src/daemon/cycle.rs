@@ -256,6 +256,11 @@ impl<M: LanguageModel> Cycle<M> {
         &self.board
     }
 
+    /// Does a small part of the model's reading after an event ([`roomcast_core::pipeline::Ahead::read_on`]).
+    pub fn read_on(&mut self) {
+        self.board.read_on();
+    }
+
     /// Does a small part of the postponed work. Returns whether there is more.
     pub fn tidy(&mut self) -> bool {
         self.board.tidy()

@@ -693,11 +693,6 @@ impl HomeHabits {
         self.memory.watched_until_s = watched_until_s;
         Some(self.memory.clone())
     }
-
-    /// The state could not be written: the next call returns it again.
-    pub fn keep_changed(&mut self) {
-        self.changed = true;
-    }
 }
 
 /// The room with more than [`SURE`] probability; at most one can have it.

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use crossbeam::channel::{Receiver, Sender, bounded};
+use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
 use crossbeam::select;
 use roomcast_core::ids::EventId;
 use roomcast_ipc::raw::NarrationV1;
@@ -19,7 +19,7 @@ use crate::clock;
 use crate::logging::Limiter;
 use crate::stop::Stop;
 
-/// Most events that wait for the scorer.
+/// About the most events that wait for the scorer; then they wait in the port.
 pub(super) const QUEUE: usize = 65_536;
 /// Most messages in one read of the port: a flood must not delay the scorer's steps.
 const AT_ONCE: usize = 2048;
@@ -188,7 +188,8 @@ impl Lending {
     pub(super) fn new(inbox: Inbox, awake: Awake, progress: Progress, stop: Stop) -> (Self, Relief) {
         // There is one receiver, so sending it never blocks.
         let ((to_relief, from_scoring), (to_scoring, from_relief)) = (bounded(1), bounded(1));
-        let (queue_in, queue) = bounded(QUEUE);
+        // A bounded one would take its whole memory at once.
+        let (queue_in, queue) = unbounded();
         let busy = Arc::new(AtomicBool::new(false));
         let (kept, given) = (Arc::clone(&busy), from_relief.clone());
         let relief = Relief { from_scoring, to_scoring, given, queue: queue_in, busy: kept, progress, stop };
@@ -283,8 +284,12 @@ impl Relief {
             let mut own = Some(inbox);
             while let Some(mut inbox) = own {
                 moved(clock::monotonic_ns().0);
-                // It fails only if the scoring thread has ended; the main thread also sees that.
-                inbox.listen(RELIEF, &mut asleep, |heard| drop(self.queue.send(heard)));
+                if self.queue.len() < QUEUE {
+                    // It fails only if the scoring thread has ended; the main thread also sees that.
+                    inbox.listen(RELIEF, &mut asleep, |heard| drop(self.queue.send(heard)));
+                } else {
+                    std::thread::sleep(RELIEF);
+                }
                 own = if self.is_to_keep() { Some(inbox) } else { self.give_back(inbox) };
             }
         }

@@ -17,19 +17,19 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, b
 use roomcast_core::ids::PersonId;
 use roomcast_core::narration::Observation;
 pub use roomcast_database::DatabaseError as JournalError;
-use roomcast_database::rusqlite::{Error, OpenFlags};
-use roomcast_database::{Connection, Database, Schema};
+use roomcast_database::rusqlite::Error;
+use roomcast_database::{Database, Schema};
 use roomcast_ipc::Sender as Port;
 
-use self::forget::IsTheirs;
 pub use self::learned::HabitRows;
 pub use self::old::memory as old_memory;
 pub use self::old::records as old_records;
 pub(super) use self::old::{habits as old_habits, persons as old_persons};
-pub use self::record::{Believed, Expectation, KeptPerson, Move, Moved, Outcome, Record};
+pub use self::record::{Expectation, KeptPerson, Move, Moved, Outcome, Record};
 pub use self::recovered::Recovered;
 use self::writer::SyncDue;
 pub use self::writer::Writer;
+use super::habits::Memory;
 use crate::state_file;
 
 mod forget;
@@ -45,7 +45,7 @@ pub const FILE: &str = "roomcast.db";
 /// Its tables; the number marks Roomcast's files.
 pub const SCHEMA: Schema = Schema { application: 0x524d_4353, migrations: &[include_str!("journal/schema.sql")] };
 /// Records that may wait for the disk before the sender does.
-const QUEUE: usize = 65_536;
+const QUEUE: usize = 8_192;
 
 /// Where and how the journal is kept.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -64,20 +64,24 @@ struct Progress {
     grew: Condvar,
     bytes: AtomicU64,
     failures: AtomicU64,
+    /// The newest habits that are not written.
+    habits: Mutex<Option<Memory>>,
     /// The last sync has failed, so a restarted daemon may lack events.
     is_unsynced: AtomicBool,
+}
+
+impl Progress {
+    fn wait_habits(&self, memory: Memory) {
+        *self.habits.lock().unwrap_or_else(PoisonError::into_inner) = Some(memory);
+    }
 }
 
 /// Work for the writer.
 enum Work {
     /// Append a record.
     Append(Record),
-    /// Replace the persons with a name that the home gave, and answer.
-    Persons { persons: Vec<KeptPerson>, done: Sender<io::Result<()>> },
-    /// Write the habits, and answer.
-    Habits { rows: Box<HabitRows>, is_forgotten: bool, done: Sender<io::Result<()>> },
-    /// Take a person out, and answer.
-    Forget { person: PersonId, is_theirs: Box<IsTheirs>, done: Sender<io::Result<usize>> },
+    /// Anything else, behind the records before it.
+    Do(Box<dyn FnOnce(&mut Writer) + Send>),
 }
 
 /// The way to the writer, for all threads.
@@ -173,24 +177,9 @@ pub struct JournalHandle {
 }
 
 impl JournalHandle {
-    /// Hands to the writer the outcome of an observation; returns its number, for [`JournalHandle::wait_for`].
-    pub fn append(&self, outcome: &Outcome<'_>) -> u64 {
-        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(outcome.into())
-    }
-
-    /// Hands to the writer the persons that an observation moved; returns its number, for [`JournalHandle::wait_for`].
-    pub(super) fn keep_moved(&self, moved: &Moved) -> u64 {
-        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(Record::Moved(moved.clone()))
-    }
-
-    /// Hands to the writer the belief about a person when the map changed; returns its number, for [`JournalHandle::wait_for`].
-    pub(super) fn keep_belief(&self, believed: &Believed) -> u64 {
-        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(believed.into())
-    }
-
-    /// Hands to the writer that a visitor is gone: a restart does not report it again.
-    pub(super) fn see_off(&self, person: PersonId) {
-        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(Record::Gone(person));
+    /// Hands a record to the writer; returns its number, for [`JournalHandle::wait_for`].
+    pub fn append(&self, record: impl Into<Record>) -> u64 {
+        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(record.into())
     }
 
     /// Takes a person's observations out of the database: `is_theirs` decides, and gets the person that the daemon found. Gives their
@@ -205,8 +194,7 @@ impl JournalHandle {
         is_theirs: impl Fn(&Observation, Option<PersonId>) -> bool + Send + 'static,
         until: Instant,
     ) -> io::Result<usize> {
-        let is_theirs = Box::new(is_theirs);
-        self.ask(|done| Work::Forget { person, is_theirs, done }, until)
+        self.ask(move |writer| writer.forget(person, &is_theirs), until)
     }
 
     /// Replaces the persons with a name that the home gave. They are on the disk when this returns.
@@ -214,22 +202,40 @@ impl JournalHandle {
     /// # Errors
     /// When the disk refuses, or takes longer than until then.
     pub(super) fn replace_persons(&self, persons: Vec<KeptPerson>, until: Instant) -> io::Result<()> {
-        self.ask(|done| Work::Persons { persons, done }, until)
+        self.ask(move |writer| writer.write_persons(persons), until)
     }
 
-    /// Writes the habits. If a person is forgotten, no byte of the old rows stays.
+    /// Passes habits to the writer. If it cannot write them, the next ones replace them.
+    pub(super) fn keep_habits(&self, memory: Memory) {
+        self.progress.wait_habits(memory);
+        if let Some(queue) = self.queue() {
+            // If the queue is full, they wait for the next ones, or for the end.
+            let _sent = queue.try_send(Work::Do(Box::new(Writer::write_waiting_habits)));
+        }
+    }
+
+    /// Writes the remaining habits after a person was forgotten: no byte of the old rows stays.
     ///
     /// # Errors
-    /// When the disk refuses, or takes longer than until then.
-    pub(super) fn write_habits(&self, rows: HabitRows, is_forgotten: bool, until: Instant) -> io::Result<()> {
-        let rows = Box::new(rows);
-        self.ask(|done| Work::Habits { rows, is_forgotten, done }, until)
+    /// When the disk refuses, or takes longer than until then. The habits are written later.
+    pub(super) fn forget_habits(&self, memory: Memory, until: Instant) -> io::Result<()> {
+        self.progress.wait_habits(memory);
+        self.ask(|writer| writer.forget_habits(), until)
     }
 
-    fn ask<T>(&self, work: impl FnOnce(Sender<io::Result<T>>) -> Work, until: Instant) -> io::Result<T> {
+    fn queue(&self) -> Option<Sender<Work>> {
+        self.sink.lock().unwrap_or_else(PoisonError::into_inner).work.clone()
+    }
+
+    fn ask<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut Writer) -> Result<T, Error> + Send + 'static,
+        until: Instant,
+    ) -> io::Result<T> {
         let (done, answer) = bounded(1);
-        let queue = self.sink.lock().unwrap_or_else(PoisonError::into_inner).work.clone();
-        match queue.map(|queue| queue.send_deadline(work(done), until)) {
+        // The asker may have lost patience.
+        let work = Work::Do(Box::new(move |writer| _ = done.send(work(writer).map_err(io::Error::other))));
+        match self.queue().map(|queue| queue.send_deadline(work, until)) {
             Some(Ok(())) => {
                 answer.recv_deadline(until).unwrap_or_else(|_| Err(io::Error::from(io::ErrorKind::TimedOut)))
             }
@@ -307,6 +313,7 @@ fn run(writer: &mut Writer, queue: &Receiver<Work>, sync_every: Duration) {
     }
     let written = writer.write([]);
     writer.note(written);
+    writer.write_waiting_habits();
     let done = writer.sync().or_else(|_| writer.sync());
     writer.note(done);
 }
@@ -318,19 +325,9 @@ fn do_work(writer: &mut Writer, first: Work, queue: &Receiver<Work>) {
     for work in std::iter::once(first).chain(queue.try_iter().take(1023)) {
         match work {
             Work::Append(record) => batch.push(record),
-            Work::Persons { persons, done } => {
+            Work::Do(work) => {
                 append(writer, std::mem::take(&mut batch));
-                let _told = done.send(writer.write_persons(&persons).map_err(io_error));
-            }
-            Work::Habits { rows, is_forgotten, done } => {
-                append(writer, std::mem::take(&mut batch));
-                let _told = done.send(writer.write_habits(*rows, is_forgotten).map_err(io_error));
-            }
-            Work::Forget { person, is_theirs, done } => {
-                append(writer, std::mem::take(&mut batch));
-                let forgotten = writer.forget(person, &*is_theirs).map_err(io_error);
-                // The asker may have lost patience.
-                let _told = done.send(forgotten);
+                work(writer);
             }
         }
     }
@@ -346,10 +343,6 @@ fn append(writer: &mut Writer, batch: Vec<Record>) {
         *writer.progress.written.lock().unwrap_or_else(PoisonError::into_inner) += records;
         writer.progress.grew.notify_all();
     }
-}
-
-fn io_error(error: Error) -> io::Error {
-    io::Error::other(error)
 }
 
 /// Monotonic times of another boot say nothing about this one.
@@ -368,10 +361,7 @@ fn boot_id() -> [u8; 16] {
 /// # Errors
 /// When there is none, or it cannot be read.
 pub fn look(directory: &std::path::Path) -> Result<Recovered, Error> {
-    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-    let mut connection = Connection::open_with_flags(directory.join(FILE), flags)?;
-    connection.busy_timeout(Duration::from_secs(5))?;
-    store::recover(&connection.transaction()?)
+    store::recover(&roomcast_database::look(&directory.join(FILE))?.transaction()?)
 }
 
 #[cfg(test)]

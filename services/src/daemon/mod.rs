@@ -35,7 +35,6 @@ use crate::participant::join;
 use crate::setup::{self, SetupError};
 use crate::stop::Stop;
 use inbox::{Counters, Inbox, Lending};
-use keeper::Keeper;
 
 use roomcast_core::draft::Drafter;
 use roomcast_core::guess::Counts;
@@ -45,6 +44,7 @@ use roomcast_core::scorer::{IsStopped, LanguageModel, ModelInfo, TokenCounter};
 use roomcast_database::SetAside;
 use roomcast_llama::LlamaModel;
 use roomcast_llama::affinity::{self, AffinityError};
+use roomcast_llama::memory;
 use scoring::{Ports, Scoring, Tools};
 
 mod ahead;
@@ -58,7 +58,6 @@ mod habits_question;
 mod inbox;
 mod intake;
 pub mod journal;
-mod keeper;
 mod map_change;
 mod person_question;
 mod persons;
@@ -186,11 +185,12 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let (journal, mut recovered) =
         opened.map_or((None, Recovered::default()), |(journal, recovered)| (Some(journal), recovered));
     let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal.as_ref().map(Journal::handle));
-    let kept = (journal.as_ref().map(Journal::handle), recovered.habits.take());
-    let Some(loaded) = stop.while_loading(|| load(config, names, kept, model, aside.is_stopped())) else {
+    let habits = recovered.habits.take();
+    let Some(loaded) = stop.while_loading(|| load(config, names, habits, model, aside.is_stopped())) else {
         return Ok(());
     };
-    let Loaded { board, ahead, kept_map, keeper, token_counter } = loaded?;
+    let Loaded { board, ahead, kept_map, token_counter } = loaded?;
+    memory::return_freed();
     let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
     let sentence_tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
     let mut intake = Intake::new(config.daemon.intake)
@@ -201,7 +201,6 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let (counters, progress) = (Counters::default(), Progress::default());
     let tools = Tools {
         kept_map,
-        keeper,
         save_ns: (config.habits.save_s * 1e9) as u64,
         sentence_tokens_max,
         journal: journal.as_ref().map(Journal::handle),
@@ -239,8 +238,6 @@ struct Loaded<M> {
     /// `None` when prefetching is off.
     ahead: Option<Ahead<M, LlamaModel>>,
     kept_map: Option<KeptMap>,
-    /// None without a state directory.
-    keeper: Option<Keeper>,
     token_counter: TokenCounter,
 }
 
@@ -248,7 +245,7 @@ struct Loaded<M> {
 fn load<M: LanguageModel + Send + 'static>(
     config: &Config,
     names: PersonsFile,
-    (journal, habits): (Option<JournalHandle>, Option<HabitRows>),
+    habits: Option<HabitRows>,
     model: impl FnOnce(&Config) -> Result<M, SetupError> + Send,
     is_stopped: IsStopped,
 ) -> Result<Loaded<M>, DaemonError> {
@@ -275,8 +272,6 @@ fn load<M: LanguageModel + Send + 'static>(
     // If the configuration names only relayed narrators, local ones are not unknown narrators.
     let guards = config.daemon.narrator.iter().any(|known| !known.relayed);
     let named = config.daemon.narrator.iter().filter(|_| guards);
-    let keeper = journal.map(Keeper::start).transpose();
-    let keeper = keeper.map_err(|source| DaemonError::Thread { name: "habits", source })?;
     let memory = memory(state.as_deref(), habits, config.habits.options());
     let preparer = match config.scoring.prepare {
         0 => Ok(None),
@@ -296,8 +291,9 @@ fn load<M: LanguageModel + Send + 'static>(
         .with_persons(Persons::new(config.persons.clone(), names))
         .with_forecast(config.forecast)
         .with_named(named.map(|known| (sequence::source_of_name(&known.name), known.may)))
-        .with_habits(HomeHabits::new(memory, Zone::local()));
-    Ok(Loaded { board, ahead, kept_map, keeper, token_counter })
+        .with_habits(HomeHabits::new(memory, Zone::local()))
+        .with_readings();
+    Ok(Loaded { board, ahead, kept_map, token_counter })
 }
 
 /// The habits of the state database, or of an earlier version's file.

@@ -40,9 +40,8 @@ impl Daemon {
             opened => Some(opened.unwrap()),
         });
         let names = PersonsFile::new(std::mem::take(&mut recovered.persons), Some(journal.handle()));
-        let kept = (Some(journal.handle()), recovered.habits.take());
         let Loaded { board, token_counter, .. } =
-            load(config, names, kept, setup::configured_model, Arc::new(|| true)).unwrap();
+            load(config, names, recovered.habits.take(), setup::configured_model, Arc::new(|| true)).unwrap();
         let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
         let tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
         let mut intake = Intake::new(config.daemon.intake).with_cost(SentenceCost::new(token_counter, tokens_max));
@@ -65,7 +64,7 @@ impl Daemon {
         while self.cycle.step_due(now_ns) {
             self.cycle.step(now_ns, now_unix_ns).unwrap();
             let mut attributed = 0;
-            self.cycle.board_mut().tell_moved(|moved| attributed = handle.keep_moved(moved));
+            self.cycle.board_mut().tell_moved(|moved| attributed = handle.append(moved));
             self.cycle.board_mut().tell_whose(|outcome| attributed = handle.append(outcome));
             self.cycle.rests_on(attributed);
             assert!(handle.wait_for(self.cycle.scored_record(), Duration::from_secs(60)), "the journal stands still");
@@ -75,7 +74,7 @@ impl Daemon {
         let board = self.cycle.board_mut();
         *self.forecast = *board.forecast(now_ns);
         *self.persons = *board.person_forecasts(now_ns);
-        board.tell_gone(|person| handle.see_off(person));
+        board.tell_gone(|person| _ = handle.append(journal::Record::Gone(person)));
         board.tell_expected(|outcome| {
             handle.append(outcome);
         });

@@ -12,15 +12,14 @@ use roomcast_ipc::raw::{
 use roomcast_ipc::{AnswerPort, IpcError, ItemScoresPublisher, Node, Publisher, StatusServer, Subscriber, question};
 use sd_notify::NotifyState;
 
-use super::answers::{FORGET_PATIENCE, answer_about_person, answer_change, write_habits};
+use super::answers::{FORGET_PATIENCE, answer_about_person, answer_change, forget_habits};
 use super::aside::Desk;
 use super::asked::{Answered, Question};
 use super::board::Board;
 use super::cycle::Cycle;
 use super::habits_question::{self, After, HabitsAnswer, HabitsQuestion, Importing};
 use super::inbox::{Counters, Heard, Lending, QUEUE};
-use super::journal::JournalHandle;
-use super::keeper::Keeper;
+use super::journal::{JournalHandle, Record};
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
 use super::{LOG_INTERVAL_NS, Progress};
@@ -89,8 +88,6 @@ pub(super) struct Scoring<M> {
     answered_habits: Answered<HabitsAnswer>,
     importing: Importing,
     kept_map: Option<KeptMap>,
-    /// Writes the habits; `None` without a state directory.
-    keeper: Option<Keeper>,
     save_ns: u64,
     saved_ns: BootNs,
     inbox: Lending,
@@ -120,7 +117,6 @@ pub(super) struct Scoring<M> {
 /// Further parts of the scoring thread.
 pub(super) struct Tools {
     pub(super) kept_map: Option<KeptMap>,
-    pub(super) keeper: Option<Keeper>,
     pub(super) save_ns: u64,
     pub(super) sentence_tokens_max: Arc<AtomicUsize>,
     pub(super) journal: Option<JournalHandle>,
@@ -133,7 +129,7 @@ pub(super) struct Tools {
 impl<M: LanguageModel> Scoring<M> {
     /// `tally` is the first status answer.
     pub(super) fn new(cycle: Cycle<M>, ports: Ports, inbox: Lending, tools: Tools, tally: StatusResponseV1) -> Self {
-        let Tools { kept_map, keeper, save_ns, sentence_tokens_max, journal, counters, progress, desk, stop } = tools;
+        let Tools { kept_map, save_ns, sentence_tokens_max, journal, counters, progress, desk, stop } = tools;
         Self {
             cycle,
             ready: false,
@@ -143,7 +139,6 @@ impl<M: LanguageModel> Scoring<M> {
             answered_habits: Answered::default(),
             importing: Importing::default(),
             kept_map,
-            keeper,
             save_ns,
             saved_ns: clock::monotonic_ns(),
             inbox,
@@ -213,6 +208,9 @@ impl<M: LanguageModel> Scoring<M> {
                 let mut moment = || serde_json::to_string(&board.moment(clock::monotonic_ns())).unwrap_or_default();
                 self.ports.moments.answer(|_| moment())?;
             }
+            if events > 0 && is_scored {
+                self.cycle.read_on();
+            }
             if self.inbox.waiting() == 0 && self.cycle.waiting() == 0 && !self.cycle.step_due(clock::monotonic_ns()) {
                 self.look_after_habits(now_ns);
                 self.use_silence();
@@ -274,7 +272,7 @@ impl<M: LanguageModel> Scoring<M> {
         let waited = self.cycle.waiting();
         let (journal, mut attributed) = (&self.journal, 0);
         let mut tell = |board: &mut Board<M>| {
-            board.tell_moved(|moved| attributed = journal.as_ref().map_or(0, |journal| journal.keep_moved(moved)));
+            board.tell_moved(|moved| attributed = journal.as_ref().map_or(0, |journal| journal.append(moved)));
             board.tell_whose(|outcome| attributed = journal.as_ref().map_or(0, |journal| journal.append(outcome)));
         };
         let done = self.cycle.step_and_tell(now_ns, clock::unix_ns(), &mut tell);
@@ -314,7 +312,7 @@ impl<M: LanguageModel> Scoring<M> {
         let journal = &self.journal;
         self.cycle.board_mut().tell_gone(|person| {
             if let Some(journal) = journal {
-                journal.see_off(person);
+                journal.append(Record::Gone(person));
             }
         });
         self.cycle.board_mut().tell_expected(|outcome| {
@@ -447,7 +445,7 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Answers questions about persons. Returns true if a person was forgotten or renamed.
     fn answer_about_persons(&mut self) -> Result<bool, IpcError> {
-        let Self { cycle, answered_persons, answered_habits, ports, journal, keeper, inbox, .. } = self;
+        let Self { cycle, answered_persons, answered_habits, ports, journal, inbox, .. } = self;
         let Ports { moments, habits_questions, person_questions, .. } = ports;
         let board = cycle.board_mut();
         let mut changed = false;
@@ -458,7 +456,7 @@ impl<M: LanguageModel> Scoring<M> {
                 if changes {
                     inbox.lend();
                 }
-                let answer = answer_about_person(board, (journal.as_ref(), keeper.as_ref()), asked);
+                let answer = answer_about_person(board, journal.as_ref(), asked);
                 if changes {
                     // Unread answers may name a forgotten person.
                     [&*moments, &*habits_questions, &*person_questions]
@@ -482,19 +480,19 @@ impl<M: LanguageModel> Scoring<M> {
     }
 
     fn answer_about_habits(&mut self) -> Result<(), IpcError> {
-        let Self { cycle, answered_habits, importing, ports, keeper, inbox, .. } = self;
+        let Self { cycle, answered_habits, importing, ports, journal, inbox, .. } = self;
         let (board, habits_questions) = (cycle.board_mut(), &ports.habits_questions);
         habits_questions.answer(|asked| {
             let mut is_new = false;
             let told = answered_habits.answer::<HabitsQuestion>(asked, |asked| {
                 inbox.lend();
                 let (mut answer, after) = habits_question::answer(board, importing, asked, clock::monotonic_ns());
-                answer.kept = keeper.is_some();
+                answer.kept = journal.is_some();
                 if after == After::Forget {
                     // Unread and remembered answers contain forgotten habits.
                     habits_questions.forget_answers();
                     is_new = true;
-                    if let Err(error) = write_habits(board, keeper.as_ref(), Instant::now() + FORGET_PATIENCE) {
+                    if let Err(error) = forget_habits(board, journal.as_ref(), Instant::now() + FORGET_PATIENCE) {
                         answer.reason = Some(format!(
                             "it holds until the daemon starts again: the habits cannot be written: {error}"
                         ));
@@ -518,29 +516,18 @@ impl<M: LanguageModel> Scoring<M> {
         let board = self.cycle.board_mut();
         board.tick(now_ns, clock::unix_ns());
         let is_due = now_ns.since(self.saved_ns) >= self.save_ns;
-        let Some(keeper) = self.keeper.as_ref().filter(|_| is_due) else { return };
+        let Some(journal) = self.journal.as_ref().filter(|_| is_due) else { return };
         self.saved_ns = now_ns;
-        if keeper.has_failed() {
-            board.habits_mut().keep_changed();
-        }
-        if let Some(memory) = board.habits_mut().memory_if_changed()
-            && !keeper.write(memory)
-        {
-            board.habits_mut().keep_changed();
-        }
+        board.habits_mut().memory_if_changed().into_iter().for_each(|memory| journal.keep_habits(memory));
     }
 
     /// Writes the habits before the end.
     fn finish_habits(&mut self) {
         // The last observations count, too.
         self.cycle.tidy();
-        let habits = self.cycle.board_mut().habits_mut();
-        if self.keeper.as_ref().is_some_and(Keeper::has_failed) {
-            habits.keep_changed();
-        }
-        let memory = habits.memory_if_changed();
-        if let Some(keeper) = &mut self.keeper {
-            keeper.finish(memory);
+        let memory = self.cycle.board_mut().habits_mut().memory_if_changed();
+        if let Some((journal, memory)) = self.journal.as_ref().zip(memory) {
+            journal.keep_habits(memory);
         }
     }
 

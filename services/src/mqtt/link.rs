@@ -406,14 +406,8 @@ mod tests {
     use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
     use crate::skipped::skipped;
 
-    const PATIENCE: Duration = Duration::from_secs(60);
-
     fn eventually(what: &str, mut holds: impl FnMut() -> bool) {
-        let start = Instant::now();
-        while !holds() {
-            assert!(start.elapsed() < PATIENCE, "not within {PATIENCE:?}: {what}");
-            std::thread::sleep(Duration::from_millis(10));
-        }
+        crate::eventually::eventually(what, || holds().then_some(()));
     }
 
     fn link(port: u16, client: &str, filter: &str) -> Link {
@@ -448,10 +442,10 @@ mod tests {
         // The broker goes. A message sent before the link notices is lost.
         let first = speaker.connection();
         broker.stop();
-        while speaker.connection() == first {
+        eventually("the link notices", || {
             speaker.say("order/clean", "stale", false, None);
-            std::thread::sleep(Duration::from_millis(1));
-        }
+            speaker.connection() != first
+        });
         let _broker = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY).unwrap();
         eventually("both are connected again", || speaker.connection() > first && ears.connection() > 1);
         assert!(speaker.say("order/clean", "two", false, None));
@@ -460,11 +454,7 @@ mod tests {
 
     #[test]
     fn who_is_dropped_leaves_a_will_and_who_leaves_does_not() {
-        let port = free_port();
-        let Some(_broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-            skipped(NO_BROKER);
-            return;
-        };
+        let Some((_broker, port)) = Mosquitto::ready() else { return };
         let ears = link(port, "ears", "will/#");
         let (dropped, leaving) = (link(port, "dropped", "none"), link(port, "leaving", "none"));
         eventually("all are connected", || [&ears, &dropped, &leaving].iter().all(|link| link.connection() > 0));
@@ -500,11 +490,7 @@ mod tests {
 
     #[test]
     fn many_images_do_not_silence_the_link() {
-        let port = free_port();
-        let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-            skipped(NO_BROKER);
-            return;
-        };
+        let Some((broker, port)) = Mosquitto::ready() else { return };
         let ears = link(port, "ears", "robot/#");
         eventually("it is connected", || ears.connection() > 0);
         broker.publish(&vec![("robot/map", "x".repeat(1_200_000), false); 64]);
@@ -519,11 +505,7 @@ mod tests {
     #[test]
     fn what_nobody_reads_fills_no_memory() {
         const BYTES: usize = 60 << 10;
-        let port = free_port();
-        let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-            skipped(NO_BROKER);
-            return;
-        };
+        let Some((broker, port)) = Mosquitto::ready() else { return };
         let ears = link(port, "ears", "#");
         eventually("it is connected", || ears.connection() > 0);
         let (long, too_long) = ("x".repeat(BYTES), "y".repeat(PAYLOAD_BYTES_MAX + 1));

@@ -237,8 +237,8 @@ fn is_of_network(kind: ErrorKind) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
-    use crate::skipped::skipped;
+    use crate::eventually::eventually;
+    use crate::mosquitto::{Mosquitto, free_port};
     use std::io::{Read, Write};
     use std::net::TcpListener;
 
@@ -278,29 +278,21 @@ mod tests {
 
     #[test]
     fn topics_that_are_kept_and_topics_that_come_are_seen() {
-        let port = free_port();
-        let Some(_broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-            skipped(NO_BROKER);
-            return;
-        };
+        let Some((_broker, port)) = Mosquitto::ready() else { return };
         let link =
             crate::mqtt::link::Link::start(&Broker { client: "speaker".to_owned(), ..broker(port) }, vec![], None)
                 .unwrap();
-        while link.connection() == 0 {
-            std::thread::sleep(Duration::from_millis(10));
-        }
+        eventually("it is connected", || (link.connection() > 0).then_some(()));
         assert!(link.say("home/kept", "one", true, None));
-        while link.unconfirmed() > 0 {
-            std::thread::sleep(Duration::from_millis(10));
-        }
+        eventually("the broker has it", || (link.unconfirmed() == 0).then_some(()));
         let looking = std::thread::spawn(move || {
             let filters = ["home/#".to_owned(), "other/+".to_owned()];
             look(&broker(port), &filters, Duration::from_secs(30), |seen| seen.topics.len() == 2)
         });
-        while !looking.is_finished() {
+        eventually("both topics are seen", || {
             link.say("other/new", "two", false, None);
-            std::thread::sleep(Duration::from_millis(50));
-        }
+            looking.is_finished().then_some(())
+        });
         let seen = looking.join().unwrap().unwrap();
         let kept = Said { payload: b"one".to_vec(), retained: true };
         assert_eq!(seen.topics["home/kept"], kept);

@@ -1,4 +1,4 @@
-//! Counts the matches of each rule of a narrator's rules file, in the state directory, so that `doctor` can name the rules that never
+//! Counts the matches of each rule of a narrator's rules file, in a database in the state directory, so that `doctor` can name the rules that never
 //! matched.
 //!
 //! A rule's key is its content, not its number: an edited rule begins at zero, the others keep their count.
@@ -7,16 +7,21 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use roomcast_database::Schema;
 use roomcast_ipc::sequence;
 use serde::{Deserialize, Serialize};
 
 use crate::clock;
-use crate::state_file::{self, Kept};
+use crate::kept::{self, Kept};
 
 /// The interval of writes; the last one is at the end.
 const SAVE_EVERY: Duration = Duration::from_secs(20);
-/// The most rules need less.
-const FILE_BYTES_MAX: u64 = 1 << 20;
+const TABLE: &str = "counted";
+const SCHEMA: Schema = Schema {
+    application: 0x524d_4354,
+    migrations: &["-- The fields of the counts, as JSON.
+        CREATE TABLE counted (field TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID, STRICT;"],
+};
 
 /// The counts.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -28,11 +33,10 @@ pub struct Counted {
 }
 
 impl Counted {
-    /// The counts of the narrator of this name; `None` without a readable file.
+    /// The counts of the narrator of this name, also while it runs; `None` without a readable database.
     #[must_use]
     pub fn of(directory: &Path, narrator: &str) -> Option<Self> {
-        let text = state_file::read(&path(directory, narrator), FILE_BYTES_MAX).ok()??;
-        serde_json::from_str(&text).ok()
+        kept::read(&path(directory, narrator), TABLE)
     }
 
     /// The counts of the rules with these keys; `None` for a rule that was not counted.
@@ -43,13 +47,13 @@ impl Counted {
 }
 
 fn path(directory: &Path, narrator: &str) -> PathBuf {
-    directory.join(format!("rules-{:016x}.json", sequence::source_of_name(narrator)))
+    directory.join(format!("rules-{:016x}.db", sequence::source_of_name(narrator)))
 }
 
 /// Counts, and writes its counts.
 #[derive(Debug)]
 pub struct Tally {
-    file: Kept<Counted>,
+    kept: Kept,
     keys: Vec<String>,
     /// The counts of earlier narrators.
     before: Counted,
@@ -61,12 +65,13 @@ impl Tally {
     #[must_use]
     pub fn new(directory: &Path, narrator: &str, keys: Vec<String>) -> Self {
         let new = || Counted { since_unix_s: clock::unix_ns().0 / 1_000_000_000, fitted: BTreeMap::new() };
-        let mut before = Counted::of(directory, narrator).unwrap_or_else(new);
+        let mut kept = Kept::new(path(directory, narrator), SCHEMA);
+        let mut before: Counted = kept.load(TABLE, &kept.path().with_extension("json")).unwrap_or_else(new);
         before.fitted.retain(|key, _| keys.contains(key));
         for key in &keys {
             before.fitted.entry(key.clone()).or_default();
         }
-        Self { file: Kept::new(path(directory, narrator)), keys, before, due: Instant::now() }
+        Self { kept, keys, before, due: Instant::now() }
     }
 
     /// Writes changed counts of this process when they are due, or at the end.
@@ -81,9 +86,7 @@ impl Tally {
             let sum = counted.fitted.entry(key.clone()).or_default();
             *sum = sum.saturating_add(*count);
         }
-        // The narrator may start before the daemon has created the directory.
-        let _made = self.file.path().parent().map(state_file::make_folder);
-        self.file.keep(counted, "how often rules fit cannot be kept; check the directory");
+        self.kept.keep(TABLE, &counted, false, "how often rules fit cannot be kept; check the directory");
     }
 }
 
@@ -110,21 +113,15 @@ mod tests {
         tally.keep(&[1, 2], false);
         assert_eq!(of(&first), [Some(0), Some(2)], "not yet");
         tally.keep(&[1, 2], true);
+        drop(tally);
         let mut tally = Tally::new(&folder, "home", first.clone());
         tally.keep(&[0, 1], true);
+        drop(tally);
         assert_eq!(of(&first), [Some(1), Some(3)]);
         // One rule is edited: it begins again, and the other continues.
         let edited = keys(&["stand", "use"]);
         assert_eq!(of(&edited), [None, Some(3)]);
-        let mut tally = Tally::new(&folder, "home", edited.clone());
-        // The folder is blocked for a moment: the same counts are written later.
-        std::fs::remove_dir_all(&folder).unwrap();
-        std::fs::write(&folder, "in the way").unwrap();
-        tally.keep(&[0, 1], true);
-        std::fs::remove_file(&folder).unwrap();
-        tally.keep(&[0, 1], true);
+        Tally::new(&folder, "home", edited.clone()).keep(&[0, 1], true);
         assert_eq!(of(&edited), [Some(0), Some(4)]);
-        std::fs::write(path(&folder, "home"), "{").unwrap();
-        assert_eq!(Counted::of(&folder, "home"), None);
     }
 }

@@ -17,7 +17,7 @@ use super::rehearsal::report;
 use super::rules::{covers, matches};
 use super::*;
 use crate::line::{Who, line_item};
-use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
+use crate::mosquitto::{Mosquitto, NO_BROKER, free_port};
 use crate::skipped::skipped;
 
 const RULES: &str = r#"
@@ -802,11 +802,7 @@ fn a_broker_is_reached_by_tls_with_credentials_and_by_nobody_else() {
 /// Two clients of one name at a real broker: the client that loses its place gets a hint at the cause.
 #[tokio::test]
 async fn a_client_whose_place_is_taken_says_so() {
-    let port = free_port();
-    let Some(_broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-        skipped(NO_BROKER);
-        return;
-    };
+    let Some((_broker, port)) = Mosquitto::ready() else { return };
     let address = format!("mqtt://127.0.0.1:{port}");
     let broker = Broker { address, client: "roomcast-home".to_owned(), credentials: None, authority: None };
     let client = || AsyncClient::new(broker.options().unwrap(), 4);
@@ -824,11 +820,7 @@ async fn a_client_whose_place_is_taken_says_so() {
 /// A real broker with retained messages, restarted in the middle: the narration is complete and in order.
 #[test]
 fn nothing_is_lost_over_a_restart_of_the_broker() {
-    let port = free_port();
-    let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-        skipped(NO_BROKER);
-        return;
-    };
+    let Some((broker, port)) = Mosquitto::ready() else { return };
     broker.publish(&[("home/switch/oven/json", r#"{"state": {"power": "on"}}"#.into(), true)]);
     let rules = Rules::parse("[[rule]]\ntopic = \"home/step\"\nsay = \"They do step {value}.\"\n[[rule]]\ntopic = \"home/+/+/json\"\nfield = \"/state/power\"\nsay = \"the {2} is {value}\"\nretained = true").unwrap();
     let (reader, writer) = std::io::pipe().unwrap();
@@ -909,11 +901,7 @@ const STEPS: &str = "[[rule]]\ntopic = \"home/step\"\nsay = \"They do step {valu
 /// A rehearsal at the same time as the narrator of the same name: it reports the lines, and the narrator's session keeps every message.
 #[test]
 fn a_rehearsal_takes_nothing_from_the_narrator() {
-    let port = free_port();
-    let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-        skipped(NO_BROKER);
-        return;
-    };
+    let Some((broker, port)) = Mosquitto::ready() else { return };
     broker.publish(&[("home/start", "first".into(), true)]);
     let rules = format!("{STEPS}\n[[rule]]\ntopic = \"home/start\"\nsay = \"They do the {{value}}.\"\nretained = true");
     let mut first = Listening::start(port, &rules);
@@ -950,11 +938,7 @@ fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
     const BACKLOG: u32 = 5_000;
     let _alone = MEMORY.lock().unwrap_or_else(PoisonError::into_inner);
     let restarts = std::env::var("ROOMCAST_MQTT_RESTARTS").map_or(6, |text| text.parse().unwrap());
-    let port = free_port();
-    let Some(mut broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-        skipped(NO_BROKER);
-        return;
-    };
+    let Some((mut broker, port)) = Mosquitto::ready() else { return };
     let seed = std::env::var("ROOMCAST_MQTT_SEED").map_or(22, |text| text.parse().unwrap());
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     // Its session exists when a later message has arrived.
@@ -1016,6 +1000,7 @@ impl Write for Slow {
     }
 
     fn flush(&mut self) -> std::io::Result<()> {
+        // The time of a slow daemon.
         std::thread::sleep(Duration::from_millis(2));
         Ok(())
     }
@@ -1025,11 +1010,7 @@ impl Write for Slow {
 #[test]
 fn who_is_killed_in_a_backlog_says_few_messages_twice() {
     const BACKLOG: u64 = 2_000;
-    let port = free_port();
-    let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-        skipped(NO_BROKER);
-        return;
-    };
+    let Some((broker, port)) = Mosquitto::ready() else { return };
     let (mut next, mut twice, mut lives) = (0, 0, 0);
     let mut live = |most: Duration| {
         let to = Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "killed".into(), ..Broker::default() };
@@ -1066,11 +1047,7 @@ fn who_is_killed_in_a_backlog_says_few_messages_twice() {
 
 #[test]
 fn silence_behind_a_real_broker_is_said_when_it_has_lasted() {
-    let port = free_port();
-    let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-        skipped(NO_BROKER);
-        return;
-    };
+    let Some((broker, port)) = Mosquitto::ready() else { return };
     let door = "[[rule]]\ntopic = \"home/door\"\nwhen = \"closed\"\npresence = \"away\"\nquiet_s = 1.0";
     broker.publish(&[("home/step", "first".into(), true)]);
     let mut listening = Listening::start(port, &format!("{STEPS}\nretained = true\n{door}"));
@@ -1089,11 +1066,7 @@ fn silence_behind_a_real_broker_is_said_when_it_has_lasted() {
 #[test]
 fn oversized_messages_are_refused_by_name_and_passed_over() {
     let _alone = MEMORY.lock().unwrap_or_else(PoisonError::into_inner);
-    let port = free_port();
-    let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-        skipped(NO_BROKER);
-        return;
-    };
+    let Some((broker, port)) = Mosquitto::ready() else { return };
     broker.publish(&[("home/step", "first".into(), true)]);
     let rules =
         format!("{STEPS}\nretained = true\n[[rule]]\ntopic = \"home/camera\"\nsay = \"They look at {{value}}.\"");
@@ -1125,11 +1098,7 @@ const CAMERA: &str = "[[rule]]\ntopic = \"home/camera/#\"\nsay = \"They look at 
 #[test]
 fn many_images_do_not_silence_the_narrator() {
     let _alone = MEMORY.lock().unwrap_or_else(PoisonError::into_inner);
-    let port = free_port();
-    let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-        skipped(NO_BROKER);
-        return;
-    };
+    let Some((broker, port)) = Mosquitto::ready() else { return };
     broker.publish(&[("home/step", "first".into(), true)]);
     let rules = format!("{STEPS}\nretained = true\n{CAMERA}");
     let mut listening = Listening::start(port, &rules);
@@ -1154,11 +1123,7 @@ fn many_images_do_not_silence_the_narrator() {
 
 #[test]
 fn a_connection_over_which_the_broker_delivers_nothing_is_renewed() {
-    let port = free_port();
-    let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-        skipped(NO_BROKER);
-        return;
-    };
+    let Some((broker, port)) = Mosquitto::ready() else { return };
     broker.publish(&[("home/step", "first".into(), true)]);
     let rules = format!("{STEPS}\nretained = true\n{CAMERA}");
     let mut listening = Listening::start_with(port, &rules, 1 << 20);
@@ -1537,6 +1502,7 @@ fn a_broker_that_wants_no_pings_is_not_left() {
         broker.write(&message("home/step", &n.to_string(), 1, false));
         assert!(listening.next().unwrap().contains(&format!("step {n}.")));
         n += 1;
+        // Messages instead of pings, for longer than a client waits for a ping's answer.
         std::thread::sleep(Duration::from_millis(300));
     }
     broker.socket.set_nonblocking(true).unwrap();
@@ -1584,11 +1550,7 @@ fn is_identified(subscribe: &[u8]) -> bool {
 fn what_fits_two_filters_is_said_once() {
     const PRESSES: &str = "[[rule]]\ntopic = \"zigbee/+\"\nrepeats = true\nsay = \"They press {value}.\"\n\
         [[rule]]\ntopic = \"+/button\"\nrepeats = true\npresence = \"present\"\n";
-    let port = free_port();
-    let Some(mut broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
-        skipped(NO_BROKER);
-        return;
-    };
+    let Some((mut broker, port)) = Mosquitto::ready() else { return };
     let press = |broker: &Mosquitto| {
         let presses: Vec<_> =
             ["once", "once", "twice", "once"].map(|press| ("zigbee/button", press.into(), false)).to_vec();

@@ -108,7 +108,7 @@ fn name_of(person: &PersonForecastV1) -> String {
 }
 
 impl<'a> Known<'a> {
-    /// Without orders and without unobserved residents.
+    /// Without orders and residents.
     pub(super) fn facts(&self) -> Facts<'a> {
         let rooms = self.scores.rooms();
         let count = rooms.len();
@@ -123,6 +123,7 @@ impl<'a> Known<'a> {
             unobserved: None,
             sleepers: persons.map_or_else(Vec::new, |persons| self.sleepers(&persons)),
             at_home: persons.map_or_else(Vec::new, |persons| persons.at_home().map(name_of).collect()),
+            missing: Vec::new(),
             house_empty: self.house_empty(),
             room_free: (0..count).map(|room| self.room_free(room)).collect(),
             staying: (0..count).map(|room| persons?.staying(room, levels)).collect(),

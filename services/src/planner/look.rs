@@ -83,6 +83,7 @@ impl Planner {
             asked: orders::set_of(&self.orders.asked, ids()),
             skipped: orders::set_of(&self.orders.skipped, ids()),
             unobserved: self.unobserved(scores, forecast, persons, now_ns),
+            missing: persons.map_or_else(Vec::new, |persons| persons.lacking(&self.residents)),
             ..known.facts()
         }
     }

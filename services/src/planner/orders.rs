@@ -1,14 +1,11 @@
 //! The state that outlives a reboot: orders of persons, and the last cleaning of each room.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use super::rules::{Hold, RoomSet};
-use crate::state_file::{self, Kept};
 
-const FILE_BYTES_MAX: u64 = 1 << 18;
 /// Most rooms of each list, with rooms of several maps.
 const ROOMS_MAX: usize = 256;
 
@@ -63,35 +60,6 @@ pub(super) fn set_of<'a>(rooms: &BTreeMap<String, u64>, ids: impl Iterator<Item 
     set.fold(0, |set, (room, _)| set | 1 << room)
 }
 
-/// The file of the orders. A hold survives a power loss.
-#[derive(Debug)]
-pub(super) struct OrdersFile(Kept<Orders>);
-
-impl OrdersFile {
-    /// A file in the state directory for each robot.
-    pub(super) fn new(directory: &Path, robot: u64) -> Self {
-        Self(Kept::for_good(directory.join(format!("planner-{robot:016x}-orders.json"))))
-    }
-
-    /// Loads the orders. If the file cannot be read, the log says why, and there are no orders.
-    pub(super) fn load(&self) -> Orders {
-        let path = self.0.path().display();
-        let _removed = state_file::remove_unfinished(self.0.path());
-        let read = match state_file::read(self.0.path(), FILE_BYTES_MAX) {
-            Ok(text) => text.map(|text| serde_json::from_str(&text)).transpose().map_err(|error| error.to_string()),
-            Err(error) => Err(error.to_string()),
-        };
-        read.map(Option::unwrap_or_default).unwrap_or_else(|error| {
-            tracing::warn!(error, %path, "the orders to the planner cannot be read: a hold is forgotten, and no room was ever cleaned");
-            Orders::default()
-        })
-    }
-
-    pub(super) fn keep(&mut self, orders: &Orders) {
-        self.0.keep(orders.clone(), "orders to the planner are lost with a restart; check the directory");
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -126,17 +94,5 @@ mod tests {
         assert!(orders.skipped.is_empty(), "the newest order counts");
         (0..1000).for_each(|room| orders.clean(&format!("room-{room}"), 1));
         assert_eq!(orders.cleaned.len(), ROOMS_MAX);
-    }
-
-    #[test]
-    fn orders_outlive_a_reboot_and_a_damaged_file_is_none() {
-        let directory = tempfile::tempdir().unwrap();
-        let mut file = OrdersFile::new(directory.path(), 7);
-        assert_eq!(file.load(), Orders::default());
-        file.keep(&orders());
-        assert_eq!(OrdersFile::new(directory.path(), 7).load(), orders());
-        assert_eq!(OrdersFile::new(directory.path(), 8).load(), Orders::default(), "another robot");
-        std::fs::write(file.0.path(), "{").unwrap();
-        assert_eq!(file.load(), Orders::default());
     }
 }

@@ -73,6 +73,8 @@ pub struct Facts<'a> {
     pub sleepers: Vec<Sleeper>,
     /// Persons who are likely at home.
     pub at_home: Vec<String>,
+    /// Residents without an observation.
+    pub missing: Vec<String>,
     /// The probability that the house is empty now, and all the time for `min_absence_s`.
     pub house_empty: (f64, f64),
     /// Per room the probability that it is empty now, and for all of a stay or `min_absence_s`.
@@ -126,6 +128,8 @@ pub enum Reason {
     HouseOccupied {
         /// The known persons at home.
         names: Vec<String>,
+        /// Residents without an observation, if no known person is at home.
+        missing: Vec<String>,
     },
     /// A person is in the room.
     Occupied {
@@ -194,7 +198,11 @@ impl fmt::Display for Reason {
                 let was = if names.len() > 1 { "were" } else { "was" };
                 write!(f, "Waiting: {} {was} not observed yet; until {} at most.", listed(names), clock_time(*until_s))
             }
-            Self::HouseOccupied { names } => {
+            Self::HouseOccupied { names, missing } if names.is_empty() && !missing.is_empty() => {
+                let was = if missing.len() > 1 { "were" } else { "was" };
+                write!(f, "Waiting: {} may be at home, and {was} not observed yet.", listed(missing))
+            }
+            Self::HouseOccupied { names, .. } => {
                 let is = if names.len() > 1 { "are" } else { "is" };
                 write!(f, "Waiting: {} {is} at home.", listed(names))
             }
@@ -247,22 +255,24 @@ fn reasons<'a>(room: usize, now: Now, facts: &'a Facts<'_>) -> impl Iterator<Ite
         .chain(skipped)
         .chain(quiet)
         .chain(unobserved)
-        .chain(empty(room, facts))
+        .chain(empty(room, now, facts))
 }
 
 /// The reason against the room if house or room must be empty and are not.
-fn empty(room: usize, facts: &Facts<'_>) -> Option<Reason> {
-    let PlannerConfig { only_when, min_absence_s, min_absence_at, resume_at, .. } = *facts.config;
+fn empty(room: usize, at: Now, facts: &Facts<'_>) -> Option<Reason> {
+    let PlannerConfig { only_when, min_absence_s, min_absence_at, resume_at, interrupt_at, .. } = *facts.config;
+    // Work that has begun ends at a higher probability, so that doubt does not stop and start the robot.
+    let occupied_at = if at.stay_s > 0.0 { resume_at } else { interrupt_at };
     let id = || facts.ids.get(room).map_or_else(String::new, |id| (*id).to_owned());
     let (of_room, (now, later)) = match only_when? {
         OnlyWhen::HouseEmpty => (false, facts.house_empty),
         OnlyWhen::RoomFree => (true, facts.room_free.get(room).copied()?),
     };
-    if now < 1.0 - resume_at {
+    if now < 1.0 - occupied_at {
         return Some(if of_room {
             Reason::Occupied { by: facts.staying.get(room).cloned().flatten(), room: id() }
         } else {
-            Reason::HouseOccupied { names: facts.at_home.clone() }
+            Reason::HouseOccupied { names: facts.at_home.clone(), missing: facts.missing.clone() }
         });
     }
     let too_short = || Reason::TooShort { room: of_room.then(id), for_s: min_absence_s, likely: later };
@@ -287,6 +297,7 @@ mod tests {
             unobserved: None,
             sleepers: Vec::new(),
             at_home: Vec::new(),
+            missing: Vec::new(),
             house_empty: (1.0, 1.0),
             room_free: vec![(1.0, 1.0); 3],
             staying: vec![None; 3],
@@ -388,6 +399,11 @@ mod tests {
         let works = Now { stay_s: 0.0, ..at(9.0) };
         assert_eq!(said(0, works, &with((0.95, 0.3))), "", "work goes on until somebody comes home");
         assert_eq!(said(0, works, &with((0.1, 0.1))), "Waiting: Mira is at home.");
+        // The robot begins below 30 %, and ends above 60 %.
+        assert_eq!(said(0, at(9.0), &with((0.5, 0.9))), "Waiting: Mira is at home.");
+        assert_eq!(said(0, works, &with((0.5, 0.9))), "");
+        let missing = Facts { at_home: Vec::new(), missing: vec!["Jon".to_owned()], ..with((0.1, 0.1)) };
+        assert_eq!(said(0, at(9.0), &missing), "Waiting: Jon may be at home, and was not observed yet.");
     }
 
     #[test]

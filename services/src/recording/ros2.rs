@@ -235,6 +235,9 @@ impl Ros2Recorder {
     /// [`RecordingError::Write`], [`RecordingError::Cdr`].
     pub fn tell(&mut self, moment: &Moment) -> Result<(), RecordingError> {
         self.persons.extend(moment.names.clone());
+        if self.map.as_ref().is_some_and(|(fingerprint, _)| *fingerprint == moment.map_fingerprint) {
+            return Ok(());
+        }
         match SemanticMap::from_json(&moment.scene.to_string()) {
             Ok(map) => self.map = Some((moment.map_fingerprint.clone(), partitions(&map, moment.grounding.level))),
             Err(error) => tracing::warn!(%error, "the daemon told a map that is none; markers are left out"),

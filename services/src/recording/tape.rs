@@ -6,7 +6,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use mcap::records::{MessageHeader, Metadata};
-use mcap::{Attachment, McapError, WriteOptions, Writer};
+use mcap::{McapError, WriteOptions, Writer};
 use roomcast_core::ids::{BootNs, UnixNs};
 
 use super::RecordingError;
@@ -79,15 +79,14 @@ impl Tape {
     }
 
     pub(super) fn write(&mut self, header: &MessageHeader, data: &[u8]) -> Result<(), RecordingError> {
-        let written = self.writer.write_to_known_channel(header, data);
-        self.done(written)?;
+        self.write_uncounted(header, data)?;
         self.written += 1;
         Ok(())
     }
 
-    pub(super) fn attach(&mut self, attachment: &Attachment<'_>) -> Result<(), RecordingError> {
-        let attached = self.writer.attach(attachment);
-        self.done(attached)
+    pub(super) fn write_uncounted(&mut self, header: &MessageHeader, data: &[u8]) -> Result<(), RecordingError> {
+        let written = self.writer.write_to_known_channel(header, data);
+        self.done(written)
     }
 
     pub(super) fn tell(&mut self, metadata: &Metadata) -> Result<(), RecordingError> {

@@ -165,7 +165,7 @@ fn standard_error_that_cannot_be_written_ends_no_command_by_a_panic() {
 fn the_doctor_blames_the_part_that_is_wrong() {
     let world = World::new("doctor");
     let output = world.command(&["doctor", "--json", "--scene", "/nowhere/at-all"]).output().unwrap();
-    assert_eq!(output.status.code(), Some(i32::from(exit_code::CHECK)));
+    assert_eq!(output.status.code(), Some(i32::from(exit_code::INPUT)), "a missing map has one exit code");
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let finding = |check: &str| {
         let findings = report["findings"].as_array().unwrap();
@@ -212,7 +212,7 @@ fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
     let recording = ["explain", "--recording", "day.mcap"];
     let import = ["scene", "import", "map.json", "--out", "scene.json"];
     let valetudo = ["scene", "import", "map.json", "--out", "scene.json", "--format", "valetudo"];
-    let cases: [(&[&str], &[&str]); 30] = [
+    let cases: [(&[&str], &[&str]); 31] = [
         (&import, &["--up", "y"]),
         (&import, &["--keep-spellings"]),
         (&import, &["--names", "names.toml"]),
@@ -243,6 +243,7 @@ fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
         (&recording, &["--at", "nan"]),
         (&recording, &["--history", "3"]),
         (&recording, &["--root", "/x"]),
+        (&recording, &["--scene", "flat"]),
     ];
     for (command, more) in cases {
         let mut command = roomcast(command);

@@ -9,7 +9,7 @@ use roomcast_ipc::raw::{
 use roomcast_ipc::{MessageError, question, sequence};
 use rustix::process::Signal;
 
-use super::{PATIENCE, World, eventually, exit_code, includes, own_memory_kib, scores_with};
+use super::{PATIENCE, World, eventually, exit_code, includes, own_memory_kib, scores_with, scoring};
 
 #[test]
 fn a_late_planner_has_the_scores_at_once_and_two_planners_do_not_disturb_each_other() {
@@ -97,8 +97,7 @@ fn the_history_survives_a_killed_daemon_and_nothing_is_taken_twice() {
     let node = world.domain.open("test").unwrap();
     let scores = node.subscriber::<RoomScoresV1>().unwrap();
     let before = scores_with(&scores, "scores", |scores| includes(scores, "camera", 3));
-    world.signal(daemon, Signal::KILL);
-    world.wait(daemon);
+    world.end(daemon, Signal::KILL);
 
     world.start_daemon();
     let after = scores_with(&scores, "the new daemon's scores", |scores| scores.epoch != before.epoch);
@@ -240,11 +239,7 @@ fn another_version_of_a_message_is_one_clear_error() {
 
 #[test]
 fn a_second_daemon_is_refused_and_the_first_stops_cleanly() {
-    let mut world = World::new("second");
-    let first = world.start_daemon();
-    let node = world.domain.open("test").unwrap();
-    let scores = node.subscriber::<RoomScoresV1>().unwrap();
-    scores_with(&scores, "the first scores", |_| true);
+    let (mut world, first, node, scores) = scoring("second");
     let second = world.start(&["daemon"]);
     let holder = format!("roomcast-daemon (process {})", world.children[first].child.id());
     let log = world.children[second].log.clone();
@@ -257,9 +252,7 @@ fn a_second_daemon_is_refused_and_the_first_stops_cleanly() {
     assert_eq!(status.code(), Some(i32::from(exit_code::IPC)), "{log}");
     assert!(log.contains(&holder) && log.contains("roomcast/v1/room-scores"), "{log}");
 
-    world.signal(first, Signal::TERM);
-    let (status, log) = world.wait(first);
-    assert!(status.success(), "{log}");
+    world.stop(first);
     drop((scores, node));
     assert!(world.domain.clean_up().unwrap());
     assert_eq!(world.shared_memory_files(), Vec::<String>::new());

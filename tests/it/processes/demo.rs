@@ -41,7 +41,7 @@ fn the_processes_of_a_killed_demo_end_with_it() {
 fn rooms_of(who: &str, log: &str) -> Vec<(usize, String)> {
     let entry = |line: &str| {
         let (time, event) = line.trim_start().split_once(" s  ")?;
-        let way = event.strip_prefix(who)?.split(':').next()?.trim_end_matches(" (fallback)");
+        let way = event.strip_prefix(who)?.split('.').next()?.trim_end_matches(" (fallback)").trim_end_matches('.');
         let room = way.rsplit_once(" the ").map_or(way, |(_, room)| room);
         Some((time.parse().ok()?, room.to_owned()))
     };
@@ -61,7 +61,7 @@ fn the_figures_of_the_demo_follow_from_its_log_and_equal_the_experiments() {
     let output = roomcast(&["demo", "--seconds", "12"]).args(cell).output().unwrap();
     assert!(output.status.success(), "{output:?}");
     let log = String::from_utf8(output.stdout).unwrap();
-    let (person, robot) = (rooms_of("person ", &log), rooms_of("robot ", &log));
+    let (person, robot) = (rooms_of("Ada is now ", &log), rooms_of("Robot ", &log));
 
     let horizon_s = 18 * 24;
     assert!(log.contains(&format!("18 steps, {horizon_s} s of a person's time")), "{log}");
@@ -77,7 +77,7 @@ fn the_figures_of_the_demo_follow_from_its_log_and_equal_the_experiments() {
         3 => format!("every room was done after {} s", done_s.values().max().unwrap()),
         _ => "not every room was done".to_owned(),
     };
-    let headline = format!("The robot shared a room with the person for {shared_s} of {horizon_s} s, and {done}.");
+    let headline = format!("The robot shared a room with Ada for {shared_s} of {horizon_s} s, and {done}.");
     assert!(log.contains(&headline), "{headline}\n{log}");
     assert_eq!(done_s.len(), 3, "coverage-aware leaves a room undone: {log}");
 
@@ -86,8 +86,18 @@ fn the_figures_of_the_demo_follow_from_its_log_and_equal_the_experiments() {
         let line = log.lines().find(|line| line.contains(sentence)).unwrap_or_else(|| panic!("no {sentence:?}: {log}"));
         line.trim_start().split_once(" s  ").unwrap().0.parse().unwrap()
     };
-    for second in second("They sit on the sofa.")..=second("They drink the mug.") {
+    for second in second("Ada sits on the sofa.")..=second("Ada drinks from the mug.") {
         assert_eq!(room_at(&person, second), Some("living room"), "{log}");
+    }
+
+    // The output ends with a chart: a row a room, and the legend.
+    let chart: Vec<&str> = log.trim_end().lines().rev().take(5).collect();
+    assert!(
+        chart[0].contains("▄ Ada   ▀ robot") && chart[1].contains("0 s") && chart[4].starts_with("kitchen"),
+        "{log}"
+    );
+    for odd in ["drink the mug", "does no room", "the nowhere", "beside"] {
+        assert!(!log.contains(odd), "{odd}: {log}");
     }
 
     // Cargo builds roomcast-lab only with the tests of the lab's package.

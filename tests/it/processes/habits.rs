@@ -33,21 +33,18 @@ fn habits_are_learned_once_over_kills_and_damage() {
         if number % 2 == 0 {
             eventually("it is written", || is_written().unwrap_or_default().then_some(()));
         }
-        world.signal(daemon, Signal::KILL);
-        world.wait(daemon);
+        world.end(daemon, Signal::KILL);
         daemon = start(&mut world);
         assert_eq!(learned(&world), f64::from(number - 1) * once);
         assert_eq!(world.narrate(&format!("walk-{number}"), WALK).0, 0);
         eventually("all is learned", || (learned(&world) == f64::from(number) * once).then_some(()));
     }
-    world.signal(daemon, Signal::TERM);
-    assert!(world.wait(daemon).0.success());
+    world.stop(daemon);
     daemon = start(&mut world);
     assert_eq!(learned(&world), 4.0 * once);
 
     // Damaged habits are learned again from the events.
-    world.signal(daemon, Signal::KILL);
-    world.wait(daemon);
+    world.end(daemon, Signal::KILL);
     database().execute("UPDATE habit SET count = count + 1", []).unwrap();
     daemon = start(&mut world);
     assert_eq!(learned(&world), 4.0 * once);
@@ -132,8 +129,7 @@ fn imported_habits_change_the_forecast_until_they_are_forgotten() {
     assert!(output.status.success(), "{output:?}");
     let after = kitchen();
     assert!((after - before).abs() < 0.15, "{before} {after}");
-    world.signal(daemon, Signal::TERM);
-    assert!(world.wait(daemon).0.success());
+    world.stop(daemon);
 }
 
 #[test]
@@ -172,8 +168,7 @@ fn habits_are_learned_from_a_recording_and_from_days() {
     recorder_listens(&node);
     assert_eq!(world.narrate("camera", "They open the fridge.\nThey sit on the sofa.\n").0, 0);
     eventually("it is learned", || (learned(&world) == 2.0).then_some(()));
-    world.signal(recorder, Signal::TERM);
-    assert!(world.wait(recorder).0.success());
+    world.stop(recorder);
     assert_eq!(habits(&world, &["forget", "--all"]).0, 0);
     assert_eq!(learned(&world), 0.0);
     let (code, _, errors) = habits(&world, &["learn", "--recording", file.to_str().unwrap()]);
@@ -209,11 +204,9 @@ fn habits_are_learned_from_a_recording_and_from_days() {
     assert!(code == 3 && errors.contains("milliseconds"), "{errors}");
     assert_eq!(learned(&world), 9.0);
     drop((scores, node));
-    world.signal(daemon, Signal::TERM);
-    assert!(world.wait(daemon).0.success());
+    world.stop(daemon);
     let daemon = world.start_daemon();
     assert_eq!(learned(&world), 9.0);
     assert_eq!(habits(&world, &["learn", "--days", world.state().to_str().unwrap()]).0, 3);
-    world.signal(daemon, Signal::TERM);
-    assert!(world.wait(daemon).0.success());
+    world.stop(daemon);
 }

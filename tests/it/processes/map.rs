@@ -70,8 +70,7 @@ fn the_map_of_a_running_daemon_changes_without_a_restart_and_without_the_model()
     assert_eq!((code, &refused["outcome"]), (i32::from(exit_code::INPUT), &serde_json::json!("other-map")), "{error}");
 
     // A killed daemon starts again with the changed map.
-    world.signal(daemon, Signal::KILL);
-    world.wait(daemon);
+    world.end(daemon, Signal::KILL);
     world.start_daemon();
     let restarted = scores_with(&scores, "the new daemon's scores", |scores| scores.epoch != before.epoch);
     assert_eq!(restarted.map_fingerprint, with_garage.map_fingerprint);
@@ -96,8 +95,7 @@ fn a_daemon_that_is_killed_after_a_map_change_believes_everybody_where_they_were
     let (code, answer, error) = apply(&world, MOVED, &[]);
     assert_eq!((code, &answer["kept"]), (0, &serde_json::json!(true)), "{error}");
     let (changed, ..) = kitchen("a forecast of the changed map", &|told| told.sequence > sequence);
-    world.signal(daemon, Signal::KILL);
-    world.wait(daemon);
+    world.end(daemon, Signal::KILL);
     world.start_daemon();
     let (after, ..) = kitchen("a forecast after the restart", &|told| told.epoch != epoch);
     // A belief cannot grow without events in the seconds of a restart.

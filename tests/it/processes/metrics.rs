@@ -52,8 +52,7 @@ fn metrics_of_a_running_daemon_are_scraped() {
     assert!((rooms - 1.0).abs() < 1e-9, "{rooms}");
     assert!(text.contains("model=\"") && text.contains(env!("CARGO_PKG_VERSION")));
 
-    world.signal(daemon, Signal::KILL);
-    world.wait(daemon);
+    world.end(daemon, Signal::KILL);
     let down = eventually("the daemon is down", || {
         Some(scrape(&address)).filter(|t| metric(t, "roomcast_daemon_up") == Some(0.0))
     });

@@ -23,6 +23,16 @@ fn scores_with(scores: &Subscriber<RoomScoresV1>, what: &str, holds: impl Fn(&Ro
     eventually(what, || scores.newest().unwrap().filter(&holds))
 }
 
+/// A daemon that has published its first scores: its number, a node in its domain, and the scores.
+fn scoring(name: &str) -> (World, usize, Node, Subscriber<RoomScoresV1>) {
+    let mut world = World::new(name);
+    let daemon = world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    (world, daemon, node, scores)
+}
+
 pub(crate) fn includes(scores: &RoomScoresV1, name: &str, number: u64) -> bool {
     let source = sequence::source_of_name(name);
     scores.included().iter().any(|included| included.source == source && included.sequence >= number)

@@ -7,7 +7,7 @@ use roomcast_ipc::{question, sequence};
 use roomcast_services::daemon::{Journal, JournalOptions};
 use rustix::process::Signal;
 
-use super::{World, eventually, exit_code, includes, scores_with};
+use super::{World, eventually, exit_code, includes, scores_with, scoring};
 
 #[test]
 fn narration_that_a_daemon_did_not_confirm_reaches_the_next_one() {
@@ -41,11 +41,7 @@ fn a_narrator_faster_than_the_scorer_loses_nothing() {
 
 #[test]
 fn a_hostile_narrator_is_counted_and_the_daemon_goes_on() {
-    let mut world = World::new("hostile");
-    world.start_daemon();
-    let node = world.domain.open("test").unwrap();
-    let scores = node.subscriber::<RoomScoresV1>().unwrap();
-    scores_with(&scores, "the first scores", |_| true);
+    let (mut world, _, node, scores) = scoring("hostile");
     let narration = node.publisher::<NarrationV1>().unwrap();
     let good = NarrationV1::new(narration_kind::SENTENCE, "They sit on the sofa.").unwrap();
     let source = sequence::source_of_name("test");
@@ -123,8 +119,7 @@ fn persons_are_named_and_forgotten_over_a_kill() {
     assert!(code == 3 && errors.contains(&format!("ADA is person {ada} already")), "{errors}");
     assert_eq!(ask(&world, &["forget", "eve"]).0, 3);
 
-    world.signal(daemon, Signal::KILL);
-    world.wait(daemon);
+    world.end(daemon, Signal::KILL);
     let daemon = world.start_daemon();
     let (_, answer, _) = ask(&world, &["list"]);
     assert_eq!(persons(&answer), [row("7", "Ben", "away"), row(&ada, "ada", "away")]);
@@ -135,13 +130,11 @@ fn persons_are_named_and_forgotten_over_a_kill() {
     // What named nobody and was found to be hers, too.
     assert!(!journal.to_lowercase().contains("ada") && !journal.contains("the fridge"), "{journal}");
     assert!(journal.contains("They lie on the bed."));
-    world.signal(daemon, Signal::KILL);
-    world.wait(daemon);
+    world.end(daemon, Signal::KILL);
     let daemon = world.start_daemon();
     let (_, answer, _) = ask(&world, &["list"]);
     assert_eq!(persons(&answer), [row("7", "Ben", "away")]);
-    world.signal(daemon, Signal::KILL);
-    world.wait(daemon);
+    world.end(daemon, Signal::KILL);
 }
 
 fn small_window(world: &World) -> String {
@@ -246,8 +239,7 @@ fn invented_sources_lock_nobody_out() {
     let status = world.status(&node);
     assert!(status.sources <= 9 && (status.persons, status.limited) == (4, 0), "{} sources", status.sources);
     assert_eq!(world.narrate("newcomer", "They sit.\n").0, 0);
-    world.signal(daemon, Signal::KILL);
-    world.wait(daemon);
+    world.end(daemon, Signal::KILL);
     drop((narration, node));
     world.start_daemon();
     assert_eq!(world.narrate("another", "They sit.\nThey stand up.\n").0, 0);

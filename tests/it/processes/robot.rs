@@ -23,8 +23,7 @@ fn a_second_planner_of_the_same_robot_is_refused() {
     let holder = format!("roomcast-planner one {number:016x} (process {})", world.children[first].child.id());
     assert!(log.contains(&holder), "{log}");
     // A killed planner does not block its successor.
-    world.signal(first, Signal::KILL);
-    world.wait(first);
+    world.end(first, Signal::KILL);
     let third = world.start(&["planner", "--robot", "one", "--know", "0", "--room-time", "0"]);
     let process = world.children[third].child.id();
     eventually("the third planner decides", || {
@@ -67,11 +66,13 @@ fn a_planner_that_is_killed_in_a_round_goes_on_with_what_its_robot_has_done() {
     assert_eq!((code, said.as_str()), (0, ""));
     let second = decision_with(&decisions, "the second decision", |decision| decision.sequence > first.sequence);
     assert!(second.has(decision_flags::REPORTED) && second.covered.count_ones() == 1, "{}", second.reason());
-    // The planner writes the file after it publishes the decision.
-    let kept = format!("planner-{:016x}.json", sequence::source_of_name("vacuum"));
+    // The planner writes the round after it publishes the decision.
+    let kept = format!("planner-{:016x}.db", sequence::source_of_name("vacuum"));
     let second_is_kept = |text: &str| text.contains(second.to()) && text.contains(first.to());
     eventually("the round is kept", || {
-        std::fs::read_to_string(world.state().join(&kept)).ok().filter(|text| second_is_kept(text))
+        let database = roomcast_database::look(&world.state().join(&kept)).ok()?;
+        let round = database.query_row("SELECT group_concat(value) FROM round", [], |row| row.get::<_, String>(0));
+        round.ok().filter(|text| second_is_kept(text))
     });
 
     world.children[planner].child.kill().unwrap();

@@ -81,6 +81,7 @@ fn two_robots_with_bridges_enter_no_room_of_each_other() {
             }
             body.act(ROBOTS[number], now_min);
         }
+        // A step of the day.
         std::thread::sleep(Duration::from_millis(2));
     }
     let outcome = Outcome::of(robots.each_ref().map(|body| &body.track), END_MIN);

@@ -265,6 +265,7 @@ fn nothing_is_lost_or_taken_twice_over_kills_restarts_and_cuts() {
         let robot = random.below(2) as usize;
         // The first eight cycles have each fault once; later ones are random.
         let fault = if cycle < 8 { cycle } else { random.below(8) };
+        // A random moment.
         std::thread::sleep(Duration::from_millis(random.below(300)));
         match fault {
             0 => hub.restart(),
@@ -445,7 +446,7 @@ fn of_two_robots_of_one_name_the_second_ends() {
     let is_connected = |bridge: &Process| bridge.said().contains("connected").then_some(());
     let mut bridges = vec![start(1, "robot-1")];
     eventually("the first one is connected", || is_connected(&bridges[0]));
-    // Time for the first bridge to publish its status.
+    // Time for the first bridge to publish its status, which no robot of another name hears.
     std::thread::sleep(Duration::from_secs(2));
     bridges.extend([start(2, "robot-1"), start(3, "robot-2")]);
     eventually("the second one of the name ends", || (!bridges[1].is_alive()).then_some(()));
@@ -457,6 +458,7 @@ fn of_two_robots_of_one_name_the_second_ends() {
     std::fs::remove_file(&bridges[1].log).unwrap();
     bridges[1].restart();
     eventually("it is connected", || is_connected(&bridges[1]));
+    // It would end within this time.
     std::thread::sleep(Duration::from_secs(4));
     assert!(bridges[1..].iter_mut().all(Process::is_alive), "{}", bridges[1].said());
     // Killed processes leave shared memory behind.

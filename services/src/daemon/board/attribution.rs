@@ -295,6 +295,9 @@ impl<M: LanguageModel> Board<M> {
         } else if let (Weighed::Refused(reason), true) = (weighed, is_unnamed) {
             understood.reason = Some(reason);
         }
+        if is_sensor && is_weighed && self.belief.tracking.as_ref().is_some_and(|own| own.had_robot()) {
+            moves.push(Move::of_a_robot());
+        }
         let is_noted = is_sensor && !matches!(weighed, Weighed::Refused(_));
         if (is_weighed || is_noted) && moves.is_empty() {
             // A restart weighs it again.
@@ -396,6 +399,7 @@ impl<M: LanguageModel> Board<M> {
         if self.belief.tracking.is_none() {
             return Weighed::NotNeeded;
         }
+        let reading = if reporter.is_unknown { None } else { self.reading(&own.event) };
         let mention = own.event.sentence().and_then(|text| self.map.matcher.last(text.as_str()));
         let grounding = self.scoring.pipeline.grounding();
         let row = mention.map(|found| {
@@ -413,16 +417,18 @@ impl<M: LanguageModel> Board<M> {
         let is_on_bed =
             mention.is_some_and(|found| !found.is_left && is_bed(&grounding.scored_labels()[found.label].text));
         let is_lying = sleeps(text).unwrap_or(is_on_bed);
-        let rooms = row.as_deref().unwrap_or_default();
+        let rooms = row.as_deref().or(reading.as_deref()).unwrap_or_default();
         let said = Said {
             event: &own.event,
             source: own.source,
             who: who_is,
             count,
             rooms,
+            is_named: row.is_some(),
             room,
             is_lying,
             is_strange: reporter.is_unknown,
+            robot: self.belief.restored_robot,
         };
         let home = (&self.map.map, grounding);
         let Some(tracking) = &mut self.belief.tracking else { return Weighed::NotNeeded };
@@ -462,13 +468,21 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Weighs an event of a former run, which has stored its persons.
-    pub(super) fn weigh_again(&mut self, observation: &Observation, reporter: Reporter, at_ns: Option<i64>) {
+    /// Weighs an event of a former run, which has stored its persons, and whether a robot explained it.
+    pub(super) fn weigh_again(
+        &mut self,
+        observation: &Observation,
+        reporter: Reporter,
+        at_ns: Option<i64>,
+        robot: bool,
+    ) {
         if let Ok((who, event)) =
             self.attribution.read((&self.map, self.scoring.pipeline.grounding()), observation, reporter)
         {
             let own = Observation { event, name: observation.name.clone(), ..*observation };
+            self.belief.restored_robot = Some(robot);
             self.weigh(&own, &who, reporter, at_ns);
+            self.belief.restored_robot = None;
         }
     }
 
@@ -582,6 +596,8 @@ impl<M: LanguageModel> Board<M> {
             at_ns,
             event: observation.event.clone(),
             is_off: observation.by_fit && is_off(&observation.event),
+            is_read: !reporter.is_unknown && matches!(observation.event, Event::Did(_)),
+            rooms: None,
         });
         Ok(observation)
     }
@@ -622,7 +638,7 @@ fn kind(event: &Event) -> &'static str {
 }
 
 /// Whether an event says that a device is off or done: the device may have done that by itself, so it says nothing about a place.
-fn is_off(event: &Event) -> bool {
+pub(super) fn is_off(event: &Event) -> bool {
     const OFF: [&str; 6] = ["off", "closed", "locked", "done", "finished", "idle"];
     let device = event.sentence().and_then(|sentence| DeviceState::parse(sentence.as_str()));
     device.is_some_and(|device| OFF.contains(&device.state.as_str()))

@@ -1,6 +1,7 @@
 //! Where each person is now: the forecasters by person, and the joint filter if it runs.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 
 use roomcast_ipc::raw::MAX_ROOMS;
 
@@ -36,6 +37,10 @@ pub(super) struct Seen {
     pub(super) event: Event,
     /// A device turned off, and no key says that the person did it.
     pub(super) is_off: bool,
+    /// The model's rooms count if the text names no place.
+    pub(super) is_read: bool,
+    /// These rooms: a likelihood for each.
+    pub(super) rooms: Option<Arc<[f64]>>,
 }
 
 #[derive(Debug, Default)]
@@ -50,9 +55,11 @@ pub(super) struct Belief {
     pub(super) tracking: Option<Box<Tracking>>,
     pub(super) sensors: Sensors,
     pub(super) robots: Robots,
+    /// While an event of a former run is weighed: whether a robot was in the sensor's room.
+    pub(super) restored_robot: Option<bool>,
     /// Local time minus the monotonic clock, in seconds.
     pub(super) local_ahead_s: f64,
-    seen: VecDeque<Seen>,
+    pub(super) seen: VecDeque<Seen>,
 }
 
 impl Belief {
@@ -94,7 +101,10 @@ impl Belief {
                         rooms = fill(&mut near, own.at(at_s, 0.0));
                     }
                     // The model's scores after all events are for the time after them.
-                    own.observe(at_s, mention, grounding, &[]);
+                    match &seen.rooms {
+                        Some(rooms) => own.suppose(at_s, rooms),
+                        None => own.observe(at_s, mention, grounding, &[]),
+                    }
                     home.turned(seen.person, seen.at_ns, turned_to(mention), own);
                     let Some(known) = attribution.persons.get_mut(seen.person) else { continue };
                     for deed in deeds(text.as_str()) {

@@ -81,7 +81,6 @@ impl<M: LanguageModel> Board<M> {
             rooms,
             forecast: self.habits_ahead(person),
             coverage: self.home.sets(person).map_or(0.0, |(coverage, _)| coverage),
-            ..PersonHabits::default()
         }
     }
 }

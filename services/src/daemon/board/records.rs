@@ -8,7 +8,7 @@ use roomcast_core::narration::Presence;
 use roomcast_core::scorer::LanguageModel;
 
 use super::Board;
-use crate::daemon::journal::{Believed, Move, Moved, Outcome};
+use crate::daemon::journal::{Expectation, Move, Moved, Outcome, Record};
 
 /// An unnamed event, and the person that it fits.
 #[derive(Debug, Clone, Copy)]
@@ -26,7 +26,7 @@ pub(super) struct Records {
     /// Working memory.
     no_moves: Vec<Vec<Move>>,
     /// Beliefs at a change of the map.
-    believed: Vec<Believed>,
+    believed: Vec<Record>,
     /// Visitors that are gone by silence.
     gone: Vec<PersonId>,
     /// The state database was read, and no expectation was written since. Restored persons without new events need no repetition.
@@ -77,8 +77,9 @@ impl<M: LanguageModel> Board<M> {
             };
             let mut own = own.clone();
             own.take_rooms(&new, rooms);
-            let (last, paces, probability) = (known.last, own.paces(), own.belief().to_vec());
-            self.records.believed.push(Believed { last, person: *person, map, paces, probability });
+            let probability = own.belief().iter().map(|probability| *probability as f32).collect();
+            let expectation = Expectation { map, paces: Some(own.paces().map(|pace| pace as f32)), probability };
+            self.records.believed.push(Record::Expected { of: known.last, person: *person, expectation });
         }
     }
 
@@ -93,7 +94,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Passes the beliefs at a change of the map to `tell`, once, for the state database.
-    pub fn tell_beliefs(&mut self, tell: impl FnMut(Believed)) {
+    pub fn tell_beliefs(&mut self, tell: impl FnMut(Record)) {
         self.records.believed.drain(..).for_each(tell);
     }
 
@@ -112,7 +113,7 @@ impl<M: LanguageModel> Board<M> {
 
     /// Passes the moves of the last step's events to `tell`, once, for the state database. Without them, a restart would attribute the events by the
     /// persons known then.
-    pub(in crate::daemon) fn tell_moved(&mut self, mut tell: impl FnMut(&Moved)) {
+    pub fn tell_moved(&mut self, mut tell: impl FnMut(&Moved)) {
         for mut moved in self.records.moved.drain(..) {
             tell(&moved);
             moved.moves.clear();

@@ -38,6 +38,7 @@ impl<M: LanguageModel> Board<M> {
                 while expectations.next_if(|(after, ..)| *after <= index).is_some() {}
                 continue;
             }
+            self.scoring.readings.begin();
             let name = observation.id();
             let is_of_another_boot = of_other_boots.contains(&name);
             if is_of_another_boot {
@@ -57,7 +58,8 @@ impl<M: LanguageModel> Board<M> {
             if let Some(moves) = moved.remove(&name) {
                 // A refused event has no moves.
                 if !moves.is_empty() {
-                    self.weigh_again(&observation, reporter, at_ns);
+                    let robot = moves.iter().any(Move::is_of_a_robot);
+                    self.weigh_again(&observation, reporter, at_ns, robot);
                 }
                 for own in moves {
                     let person = self.attribution.persons.file().current(own.person);

@@ -8,6 +8,7 @@ use roomcast_core::pipeline::Pipeline;
 use roomcast_core::prepared::Answer;
 use roomcast_core::scorer::LanguageModel;
 
+use super::readings::Readings;
 use super::seconds;
 use crate::daemon::ahead::Now;
 use crate::daemon::persons::Persons;
@@ -26,6 +27,7 @@ pub struct PreparedTally {
 #[derive(Debug)]
 pub(super) struct Scoring<M> {
     pub(super) pipeline: Pipeline<M>,
+    pub(super) readings: Readings,
     /// The time at which each person's first unscored event was received.
     unscored: BTreeMap<PersonId, BootNs>,
     unscored_ns: Option<BootNs>,
@@ -44,6 +46,7 @@ impl<M: LanguageModel> Scoring<M> {
     pub(super) fn new(pipeline: Pipeline<M>) -> Self {
         Self {
             pipeline,
+            readings: Readings::default(),
             unscored: BTreeMap::new(),
             unscored_ns: None,
             unscored_gap: false,

@@ -220,6 +220,65 @@ fn recovered(observations: impl IntoIterator<Item = Observation>) -> Recovered {
     Recovered { observations: observations.into_iter().collect(), ..Recovered::default() }
 }
 
+fn said(text: &str) -> Event {
+    Event::Did(Sentence::new(text).unwrap())
+}
+
+#[test]
+fn texts_without_a_place_move_the_belief_by_the_models_rooms_also_after_a_restart() {
+    let events =
+        [entry(PersonId(0), 1000 * S, "They open the fridge."), entry(PersonId(0), 1060 * S, "They hum a tune.")];
+    let play = |mut board: Board<TableModel>| {
+        for entry in events.clone() {
+            let at_ns = entry.received_ns;
+            board.step([entry], at_ns, UnixNs(1_000_000 * S + at_ns.0)).unwrap();
+            board.forecast(at_ns);
+        }
+        board
+    };
+    let (mut with, mut without) = (play(board().with_readings()), play(board()));
+    let fits = with.reading(&said("They hum a tune.")).unwrap();
+    let room = usize::from(fits[1] > fits[0]);
+    let moved = occupied(&mut with, room, 1060 * S);
+    assert!(moved > occupied(&mut without, room, 1060 * S), "{fits:?}");
+    assert!(
+        with.reading(&said("They open the fridge.")).is_none() && with.reading(&said("The lamp is off.")).is_none()
+    );
+
+    let mut again = board().with_readings();
+    again.restore(recovered(events.map(|own| own.observation)), BootNs(1060 * S), UnixNs(1_001_060 * S));
+    again.step([], BootNs(1060 * S), UnixNs(1_001_060 * S)).unwrap();
+    assert_eq!(occupied(&mut again, room, 1060 * S), moved);
+}
+
+#[test]
+fn a_step_reads_a_bounded_number_of_texts() {
+    let mut board = board().with_readings();
+    board.scoring.readings.begin();
+    let read = (0..20).filter(|number| board.reading(&said(&format!("They hum tune {number}."))).is_some()).count();
+    assert_eq!(read, 8);
+    assert!(board.reading(&said("They hum tune 0.")).is_some(), "a repeated text needs no pass");
+}
+
+#[test]
+fn the_shipped_model_puts_cooks_into_the_kitchen_and_sleepers_into_the_bedroom() {
+    let map = SemanticMap::from_json(crate::embedded::scene("flat").unwrap().text).unwrap();
+    let model = crate::setup::load_model(None, &roomcast_llama::LlamaOptions::default()).unwrap();
+    let pipeline = Pipeline::of(&map, model).unwrap();
+    let mut board = Board::new(pipeline, map, GroundingOptions::default(), 1).unwrap().with_readings();
+    board.scoring.readings.begin();
+    for (text, room) in [
+        ("Mira is cooking.", "kitchen"),
+        ("A woman is chopping vegetables.", "kitchen"),
+        ("Jon goes to sleep.", "bedroom"),
+    ] {
+        let fits = board.reading(&said(text)).unwrap();
+        let own = board.room_ids().position(|id| id == room).unwrap();
+        let others = fits.iter().enumerate().filter(|(other, _)| *other != own).map(|(_, fits)| *fits);
+        assert!(fits[own] > 2.0 * others.fold(0.0, f64::max), "{text} {fits:?}");
+    }
+}
+
 /// A power loss may take an attribution and leave the expectation after it.
 #[test]
 fn what_was_said_after_an_observation_of_somebody_else_is_not_believed() {

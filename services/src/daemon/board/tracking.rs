@@ -58,6 +58,16 @@ impl Sensors {
             None if self.0.len() >= SENSORS_MAX => return Err(Reason::NoSensor),
             _ => {}
         }
+        if !self.0.contains_key(&device) {
+            // Perhaps the narrator has another name now: the former state says nothing until it reports again.
+            for ((_, kind, id), last) in &mut self.0 {
+                let was = &last.report;
+                let is_alike = (&was.room, &was.beyond, last.person) == (&report.room, &report.beyond, person);
+                if (*kind, &**id) == (report.kind, &*report.id) && is_alike {
+                    last.report = Arc::new(SensorReport { on: None, ..(**was).clone() });
+                }
+            }
+        }
         self.0.insert(device, Last { report: Arc::clone(report), person, at_ns });
         Ok(())
     }
@@ -96,6 +106,8 @@ pub(super) struct Tracking {
     is_stale: bool,
     /// The room of the last event.
     room: Option<usize>,
+    /// A robot explains what the sensor of the last event saw.
+    had_robot: bool,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -106,14 +118,18 @@ pub(super) struct Said<'a> {
     pub(super) who: Option<PersonId>,
     /// The number of unknown persons.
     pub(super) count: u8,
-    /// Per room the likelihood of an action's text; empty if it names no place.
+    /// Per room the likelihood of an action's text; empty if it is unknown.
     pub(super) rooms: &'a [f64],
+    /// The text names the place; otherwise the likelihood is the language model's.
+    pub(super) is_named: bool,
     /// The room that a presence names, or a text most probably means.
     pub(super) room: Option<usize>,
     /// The person lies down, or sleeps.
     pub(super) is_lying: bool,
     /// The narrator is one that the configuration does not know.
     pub(super) is_strange: bool,
+    /// Of an event of a former run: whether a robot was in the sensor's room then.
+    pub(super) robot: Option<bool>,
 }
 
 impl Tracking {
@@ -140,6 +156,7 @@ impl Tracking {
             looked_ns: None,
             is_stale: false,
             room: None,
+            had_robot: false,
         };
         for person in persons {
             own.index_of(person);
@@ -217,6 +234,15 @@ impl Tracking {
             self.is_stale |= self.sensors[known].1 != spec;
             return (!self.is_stale).then_some(known);
         }
+        let alike = |(own, (device, known)): (usize, &(Device, SensorSpec))| {
+            let is_same = (device.1, &device.2) == (report.kind, &report.id);
+            (is_same && (known.room, known.beyond, known.person) == (spec.room, spec.beyond, spec.person))
+                .then_some(own)
+        };
+        let former: Vec<usize> = self.sensors.iter().enumerate().filter_map(alike).collect();
+        for sensor in former {
+            self.tracker.observe(self.tracker.now_s(), &Observation::Sensor { sensor, on: None }, TRUST);
+        }
         let index = self.tracker.add_sensor(spec).ok()?;
         self.sensors.push((device_of(source, report), spec));
         if spec.kind == SensorKind::Door || spec.kind == SensorKind::Bed {
@@ -262,14 +288,21 @@ impl Tracking {
             },
             None => None,
         };
-        self.room = said.room;
+        (self.room, self.had_robot) = (said.room, false);
         let trust = if said.is_strange { TRUST_OTHERS } else { TRUST };
         let observation = match said.event {
             Event::Sensor(report) => {
                 let Some(sensor) = self.sensor_of(home, (said.source, report), said.who) else { return false };
+                let room = self.sensors[sensor].1.room;
+                if let (Some(is_there), Some(room)) = (said.robot, room) {
+                    let rooms = if is_there { &[room][..] } else { &[] };
+                    self.tracker.observe(at_s, &Observation::Robot { rooms }, TRUST);
+                }
+                self.had_robot = room.is_some_and(|room| self.tracker.has_robot(room));
                 Observation::Sensor { sensor, on: report.on }
             }
-            Event::Did(_) => Observation::Deed { who, rooms: said.rooms },
+            Event::Did(_) if said.is_named || said.rooms.is_empty() => Observation::Deed { who, rooms: said.rooms },
+            Event::Did(_) => Observation::Text { who, rooms: said.rooms },
             Event::Present(_) => Observation::Present { who, room: said.room },
             Event::Away => Observation::Away { who },
             Event::Gone => Observation::Gone { who },
@@ -407,6 +440,10 @@ impl Tracking {
     pub(super) fn noisy(&self) -> impl Iterator<Item = (&str, f64, f64)> {
         let noisy = self.now.noisy();
         noisy.filter_map(|(sensor, learned, usual)| Some((&*self.sensors.get(sensor)?.0.2, learned, usual)))
+    }
+
+    pub(super) fn had_robot(&self) -> bool {
+        self.had_robot
     }
 
     pub(super) fn room(&self) -> Option<usize> {

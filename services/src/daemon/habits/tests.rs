@@ -105,7 +105,7 @@ impl House {
     /// The stored state if the daemon is killed now.
     fn memory(&mut self) -> Memory {
         self.board.tidy();
-        self.board.habits_mut().keep_changed();
+        self.board.habits_mut().changed = true;
         self.board.habits_mut().memory_if_changed().unwrap()
     }
 

@@ -2,12 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use roomcast_core::habits::{Habits, HabitsOptions};
+use roomcast_core::habits::{Habits, HabitsOptions, Stored, StoredName, StoredRow};
 use roomcast_core::ids::EventId;
 use roomcast_database::rusqlite::{OptionalExtension, Result, params};
 use roomcast_database::{Transaction, sound};
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
 
 use crate::daemon::habits::{Heard, Memory};
 
@@ -35,54 +33,25 @@ pub struct HabitRows {
     is_damaged: bool,
 }
 
-/// The JSON of [`Habits::to_json`].
-#[derive(Serialize, Deserialize)]
-struct Stored {
-    version: u16,
-    objects: Vec<Name>,
-    places: Vec<Name>,
-    persons: Vec<Value>,
-    rows: Vec<Row>,
-}
-
-#[derive(Serialize, Deserialize)]
-struct Name {
-    name: String,
-    seen_min: u32,
-}
-
-#[derive(Serialize, Deserialize)]
-struct Row {
-    kind: u8,
-    slot: u8,
-    after: [u16; 3],
-    touched_min: u32,
-    counts: Vec<(u16, f32)>,
-}
-
 impl HabitRows {
     /// The rows of a memory.
     ///
     /// # Errors
-    /// When the habits cannot be written as JSON: a fault of the program.
-    pub fn of(memory: &Memory) -> std::result::Result<Self, String> {
-        let json = memory.habits.to_json().map_err(|error| error.to_string())?;
-        let Stored { version, objects, places, persons, rows } =
-            serde_json::from_str(&json).map_err(|error| error.to_string())?;
+    /// When a person's model cannot be written as JSON: a fault of the program.
+    pub fn of(memory: &Memory) -> serde_json::Result<Self> {
+        let Stored { version, objects, places, persons, rows } = memory.habits.stored();
         let names = [objects, places].into_iter().enumerate().flat_map(|(kind, names)| {
-            (0..).zip(names).map(move |(number, Name { name, seen_min })| ((kind, number), (name, seen_min)))
+            (0..).zip(names).map(move |(number, StoredName { name, seen_min })| ((kind, number), (name, seen_min)))
         });
-        let number =
-            |person: &Value| person.get("number").and_then(Value::as_u64).and_then(|number| number.try_into().ok());
-        let persons = persons.iter().filter_map(|person| Some((number(person)?, person.to_string())));
-        let counts = rows.into_iter().flat_map(|Row { kind, slot, after, touched_min, counts }| {
+        let persons = persons.iter().map(|person| Ok((person.number, serde_json::to_string(person)?)));
+        let counts = rows.into_iter().flat_map(|StoredRow { kind, slot, after, touched_min, counts }| {
             counts.into_iter().map(move |(symbol, count)| ((kind, slot, after, symbol), (count, touched_min)))
         });
         Ok(Self {
             version,
             watched_until_s: memory.watched_until_s,
             names: names.collect(),
-            persons: persons.collect(),
+            persons: persons.collect::<serde_json::Result<_>>()?,
             counts: counts.collect(),
             learned: memory.heard.names().to_vec(),
             is_damaged: false,
@@ -93,36 +62,27 @@ impl HabitRows {
     ///
     /// # Errors
     /// When the rows are damaged or of another version: the reason.
-    pub fn memory(&self, options: HabitsOptions) -> std::result::Result<Memory, String> {
+    pub fn memory(self, options: HabitsOptions) -> std::result::Result<Memory, String> {
         if self.is_damaged {
             return Err("their checksum is wrong".to_owned());
         }
-        let names = |kind: usize| {
-            let own = self.names.range((kind, 0)..(kind + 1, 0)).map(|(_, (name, seen_min))| (name.clone(), *seen_min));
-            own.map(|(name, seen_min)| Name { name, seen_min }).collect()
-        };
-        let mut rows = Vec::<Row>::new();
-        for ((kind, slot, after, symbol), (count, touched_min)) in &self.counts {
-            let is_same = |row: &&mut Row| (row.kind, row.slot, row.after) == (*kind, *slot, *after);
-            match rows.last_mut().filter(is_same) {
-                Some(row) => row.counts.push((*symbol, *count)),
-                None => rows.push(Row {
-                    kind: *kind,
-                    slot: *slot,
-                    after: *after,
-                    touched_min: *touched_min,
-                    counts: vec![(*symbol, *count)],
-                }),
+        let [mut objects, mut places] = [Vec::new(), Vec::new()];
+        for ((kind, _), (name, seen_min)) in self.names {
+            if kind == 0 { &mut objects } else { &mut places }.push(StoredName { name, seen_min });
+        }
+        let mut rows = Vec::<StoredRow>::new();
+        for ((kind, slot, after, symbol), (count, touched_min)) in self.counts {
+            match rows.last_mut().filter(|row| (row.kind, row.slot, row.after) == (kind, slot, after)) {
+                Some(row) => row.counts.push((symbol, count)),
+                None => rows.push(StoredRow { kind, slot, after, touched_min, counts: vec![(symbol, count)] }),
             }
         }
         let persons =
             self.persons.values().map(|person| serde_json::from_str(person)).collect::<serde_json::Result<_>>();
         let persons = persons.map_err(|error| error.to_string())?;
-        let (objects, places) = (names(0), names(1));
         let stored = Stored { version: self.version, objects, places, persons, rows };
-        let json = serde_json::to_string(&stored).map_err(|error| error.to_string())?;
-        let habits = Habits::from_json(options, &json).map_err(|error| error.to_string())?;
-        Ok(Memory { habits, heard: Heard::new(self.learned.iter().copied()), watched_until_s: self.watched_until_s })
+        let habits = Habits::from_stored(options, stored).map_err(|error| error.to_string())?;
+        Ok(Memory { habits, heard: Heard::new(self.learned), watched_until_s: self.watched_until_s })
     }
 
     /// Writes the rows that differ from the `before` ones.

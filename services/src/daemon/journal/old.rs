@@ -20,6 +20,8 @@ use crate::state_file;
 
 /// The older half, then the current one.
 const FILES: [&str; 2] = ["narration.journal.old", "narration.journal"];
+/// The current half of a daemon that was killed before it had renamed it.
+const NEXT: &str = "narration.journal.next";
 /// The names that the home gave.
 const PERSONS: &str = "persons.json";
 /// The habits, and a file that was damaged.
@@ -40,7 +42,8 @@ const IS_NO_FORM: u8 = 1 << 4;
 
 /// The records of both files, oldest first, of each file at most so many bytes; `boot_id` names the machine's start of now.
 pub(super) fn read(directory: &Path, bytes_max: u64, boot_id: &[u8; 16]) -> Vec<Record> {
-    let halves = FILES.map(|file| {
+    let current = if directory.join(FILES[1]).exists() { FILES[1] } else { NEXT };
+    let halves = [FILES[0], current].map(|file| {
         let path = directory.join(file);
         newest(&path, bytes_max.saturating_add(1 << 20)).unwrap_or_else(|error| {
             tracing::warn!(%error, path = %path.display(), "the journal of an earlier version cannot be read");
@@ -68,7 +71,7 @@ fn newest(path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
 pub(super) fn remove(directory: &Path, files: &[&str]) -> io::Result<()> {
     for file in files {
         let aside = (1..=64).map(|number| format!("{file}.large-{number}"));
-        for name in aside.chain([(*file).to_owned(), "narration.journal.next".to_owned()]) {
+        for name in aside.chain([(*file).to_owned(), NEXT.to_owned()]) {
             match fs::remove_file(PathBuf::from(directory).join(name)) {
                 Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
                 _ => {}

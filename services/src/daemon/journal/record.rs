@@ -85,14 +85,12 @@ impl From<&Outcome<'_>> for Record {
     }
 }
 
-impl From<&Believed> for Record {
-    fn from(believed: &Believed) -> Self {
-        let Believed { last, person, map, paces, probability } = believed;
-        let probability = probability.iter().map(|probability| *probability as f32).collect();
-        let expectation = Expectation { map: *map, paces: Some(paces.map(|pace| pace as f32)), probability };
-        Self::Expected { of: *last, person: *person, expectation }
+impl From<&Moved> for Record {
+    fn from(moved: &Moved) -> Self {
+        Self::Moved(moved.clone())
     }
 }
+
 /// The model's expectation of a person, or the belief about their place when the map changed.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Expectation {
@@ -104,23 +102,6 @@ pub struct Expectation {
     pub paces: Option<[f32; PACES]>,
     /// Per room the probability that the person is there next, or was there.
     pub probability: Vec<f32>,
-}
-
-/// The belief about a person's place when the map changed.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Believed {
-    /// The last event about the person.
-    pub last: EventId,
-    /// The person.
-    pub person: PersonId,
-    /// The first bytes of the changed map's fingerprint.
-    pub map: u64,
-    /// How long the person had been at their last action, and so on ([`Forecaster::paces`]).
-    ///
-    /// [`Forecaster::paces`]: roomcast_core::forecast::Forecaster::paces
-    pub paces: [f64; PACES],
-    /// Per room of the changed map the probability that they were in it.
-    pub probability: Vec<f64>,
 }
 
 /// The part of one person in an observation that moved them.
@@ -148,6 +129,18 @@ impl Move {
     #[must_use]
     pub(in crate::daemon) fn of_nobody() -> Self {
         Self { person: PersonId::SOMEBODY, name: None, by_fit: true, event: None }
+    }
+
+    /// The part of a robot: it explains what the sensor saw.
+    #[must_use]
+    pub(in crate::daemon) fn of_a_robot() -> Self {
+        Self { event: Some(Event::Present(None)), ..Self::of_nobody() }
+    }
+
+    /// Whether it is the part of a robot.
+    #[must_use]
+    pub(in crate::daemon) fn is_of_a_robot(&self) -> bool {
+        *self == Self::of_a_robot()
     }
 
     /// The part of an event that is an empty room.

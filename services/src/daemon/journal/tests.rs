@@ -5,6 +5,7 @@ use std::path::Path;
 use roomcast_core::forecast::PACES;
 use roomcast_core::ids::{BootNs, EventId, UnixNs};
 use roomcast_core::narration::{Event, Sentence, person_number};
+use roomcast_database::Connection;
 
 use super::notes::text_of;
 use super::*;
@@ -342,8 +343,8 @@ fn each_kind_of_record_comes_back() {
         Record::from(&Outcome { event, person, by_fit, map, probability })
     };
     own.write([outcome(2, false, &[0.25, 0.75]), outcome(4, true, &[]), outcome(99, true, &[1.0])]).unwrap();
-    let (last, person, probability) = (EventId::new(7, 1, 2), PersonId(9), vec![0.5, 0.5]);
-    own.write([Record::from(&Believed { last, person, map: 78, paces: [40.5; PACES], probability })]).unwrap();
+    let was = Expectation { map: 78, paces: Some([40.5; PACES]), probability: vec![0.5, 0.5] };
+    own.write([Record::Expected { of: EventId::new(7, 1, 2), person: PersonId(9), expectation: was.clone() }]).unwrap();
     // The persons that an observation moved come back in their order; so does an empty list.
     let sentence = Sentence::new("Mia cooks.").ok().map(Event::Did);
     let by = |person: PersonId, name: &str, event: Option<Event>| {
@@ -367,7 +368,6 @@ fn each_kind_of_record_comes_back() {
     told[3] = Observation { person: PersonId(9), by_fit: true, ..told[3].clone() };
     assert_eq!(recovered.observations, told);
     let next = Expectation { map: 77, paces: None, probability: vec![0.25, 0.75] };
-    let was = Expectation { map: 78, paces: Some([40.5; PACES]), probability: vec![0.5, 0.5] };
     assert_eq!(recovered.expectations, [(1, PersonId(9), next), (1, PersonId(9), was)]);
     for Moved { observation, moves } in moved {
         assert_eq!(recovered.moved.remove(&observation), Some(moves));
@@ -468,7 +468,7 @@ fn a_database_that_another_user_could_have_planted_is_refused() {
         fs::remove_file(&file).unwrap();
     }
     let (journal, _) = Journal::open(&options(directory.path(), 8192)).unwrap();
-    journal.handle().see_off(PersonId(1));
+    journal.handle().append(Record::Gone(PersonId(1)));
     drop(journal);
     for file in fs::read_dir(directory.path()).unwrap() {
         assert_eq!(file.unwrap().metadata().unwrap().permissions().mode() & 0o777, 0o600);
@@ -480,7 +480,6 @@ fn a_database_that_another_user_could_have_planted_is_refused() {
 /// The journal of earlier versions is read once, and left as it is.
 #[test]
 fn the_old_journal_is_read_once() {
-    let directory = tempfile::tempdir().unwrap();
     let record = |letter: u8, payload: &[u8]| {
         let mut record = [b"RCJ".as_slice(), &[letter]].concat();
         record.extend((payload.len() as u32).to_le_bytes());
@@ -516,23 +515,27 @@ fn the_old_journal_is_read_once() {
         gone(3, 0),
     ]
     .concat();
-    let [old, new] = ["narration.journal.old", "narration.journal"].map(|name| directory.path().join(name));
-    fs::write(&old, &older).unwrap();
-    fs::write(&new, &current).unwrap();
-    for _ in 0..2 {
-        let (_journal, recovered) = Journal::open(&options(directory.path(), 1 << 20)).unwrap();
-        let said: Vec<_> =
-            recovered.observations.iter().map(|o| (o.sequence, o.event.to_string(), o.person.0)).collect();
-        let expected = [(2, "away", 3), (4, "They walk.", 3), (5, "present in the kitchen", 9)];
-        assert_eq!(said, expected.map(|(sequence, text, person)| (sequence, text.to_owned(), person)));
-        assert_eq!(recovered.forgotten, [(1, PersonId(6)), (3, PersonId(3))]);
-        assert_eq!(recovered.expectations.len(), 2);
-        assert_eq!(recovered.moved[&EventId::new(7, 1, 5)][0].name.as_deref(), Some("Ada"));
-        assert_eq!(recovered.ports[&(7, 1)], Port::simulated(4));
-        assert!(recovered.taken().any(|name| name == EventId::new(44, 1, 9)));
-        assert_eq!(recovered.of_other_boots.len(), 3);
+    for name in ["narration.journal", "narration.journal.next"] {
+        // A daemon that was killed had not renamed its next half yet.
+        let directory = tempfile::tempdir().unwrap();
+        let [old, new] = ["narration.journal.old", name].map(|name| directory.path().join(name));
+        fs::write(&old, &older).unwrap();
+        fs::write(&new, &current).unwrap();
+        for _ in 0..2 {
+            let (_journal, recovered) = Journal::open(&options(directory.path(), 1 << 20)).unwrap();
+            let said: Vec<_> =
+                recovered.observations.iter().map(|o| (o.sequence, o.event.to_string(), o.person.0)).collect();
+            let expected = [(2, "away", 3), (4, "They walk.", 3), (5, "present in the kitchen", 9)];
+            assert_eq!(said, expected.map(|(sequence, text, person)| (sequence, text.to_owned(), person)));
+            assert_eq!(recovered.forgotten, [(1, PersonId(6)), (3, PersonId(3))]);
+            assert_eq!(recovered.expectations.len(), 2);
+            assert_eq!(recovered.moved[&EventId::new(7, 1, 5)][0].name.as_deref(), Some("Ada"));
+            assert_eq!(recovered.ports[&(7, 1)], Port::simulated(4));
+            assert!(recovered.taken().any(|name| name == EventId::new(44, 1, 9)));
+            assert_eq!(recovered.of_other_boots.len(), 3);
+        }
+        assert_eq!([fs::read(&old).unwrap(), fs::read(&new).unwrap()], [older.clone(), current.clone()]);
     }
-    assert_eq!((fs::read(&old).unwrap(), fs::read(&new).unwrap()), (older, current));
 }
 
 proptest::proptest! {
@@ -584,13 +587,12 @@ fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
     };
     (1..5).for_each(|sequence| learn(&mut memory, 1, sequence));
     memory.habits.be(PersonId(1), Place::Elsewhere, 1e9 + 600.0);
-    let rows = HabitRows::of(&memory).unwrap();
-    own.write_habits(rows.clone(), false).unwrap();
+    own.write_habits(&memory).unwrap();
     let other = Connection::open(directory.path().join(FILE)).unwrap();
     let changes = || other.query_row("SELECT sum(count) FROM habit", [], |row| row.get::<_, f64>(0)).unwrap();
     let before = changes();
     learn(&mut memory, 1, 5);
-    own.write_habits(HabitRows::of(&memory).unwrap(), false).unwrap();
+    own.write_habits(&memory).unwrap();
     assert!(changes() > before);
     // No event is learned twice: the start of a narrator has one row.
     other.execute("INSERT INTO learned VALUES (1, 2, 7, 9)", []).unwrap_err();
@@ -604,7 +606,8 @@ fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
     let damaged = own.recover().unwrap().habits.unwrap().memory(options);
     assert!(damaged.unwrap_err().contains("checksum"));
     drop(other);
-    own.write_habits(HabitRows::of(&Memory::new(options)).unwrap(), true).unwrap();
+    own.progress.wait_habits(Memory::new(options));
+    own.forget_habits().unwrap();
     assert!(!text_of(directory.path()).contains("secret-room"));
 }
 
@@ -634,17 +637,20 @@ fn the_queries_of_the_manual_find_rows() {
 }
 
 #[test]
-fn a_failed_sync_writes_events_again_and_habits_that_were_never_written_stay_so() {
+fn a_failed_sync_writes_events_and_names_again_and_habits_that_were_never_written_stay_so() {
     let outer = tempfile::tempdir().unwrap();
     let (state, gone) = (outer.path().join("state"), outer.path().join("gone"));
     fs::create_dir(&state).unwrap();
     let (mut own, _) = writer(&state, 1 << 20);
+    let ada = KeptPerson { number: PersonId(3), name: "Ada".to_owned(), resident: None, former: Vec::new() };
+    own.write_persons(vec![ada.clone()]).unwrap();
     own.write([event(&observation(1))]).unwrap();
     fs::rename(&state, &gone).unwrap();
     fs::create_dir(&state).unwrap();
-    own.sync().unwrap_err();
+    // The disk has not taken another name, so that it is in no later start either.
+    own.write_persons(vec![ada.renamed("Eve")]).unwrap_err();
     own.write([event(&observation(2))]).unwrap();
     let recovered = own.recover().unwrap();
     let sequences: Vec<_> = recovered.observations.iter().map(|own| own.sequence).collect();
-    assert_eq!((sequences, recovered.habits), (vec![1, 2], None));
+    assert_eq!((sequences, recovered.persons, recovered.habits), (vec![1, 2], vec![ada], None));
 }

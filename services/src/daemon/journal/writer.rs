@@ -2,12 +2,12 @@
 
 use std::collections::VecDeque;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
-use roomcast_database::rusqlite::{self, Error, ErrorCode};
-use roomcast_database::{Database, DatabaseError, SetAside, is_damage};
+use roomcast_database::rusqlite::{Error, ErrorCode};
+use roomcast_database::{Database, DatabaseError, SetAside, Transaction, is_damage};
 
 use roomcast_core::ids::PersonId;
 
@@ -16,6 +16,7 @@ use super::learned::HabitRows;
 use super::record::{KeptPerson, Record};
 use super::recovered::Recovered;
 use super::{Progress, old, store};
+use crate::daemon::habits::Memory;
 
 /// Silence before a sync.
 const QUIET_BEFORE_SYNC: Duration = Duration::from_millis(100);
@@ -33,8 +34,16 @@ fn tell_of(SetAside { path, reason, rows }: &SetAside) {
 fn inner(error: DatabaseError) -> Error {
     match error {
         DatabaseError::Sqlite { source, .. } => source,
-        error => Error::ToSqlConversionFailure(Box::new(error)),
+        error => refused(error),
     }
+}
+
+fn is_full(error: &Error) -> bool {
+    error.sqlite_error_code() == Some(ErrorCode::DiskFull)
+}
+
+fn refused(error: impl std::error::Error + Send + Sync + 'static) -> Error {
+    Error::ToSqlConversionFailure(Box::new(error))
 }
 
 /// When the next sync is due. Writes wait for a sync, and scores wait for their writes, so a sync waits for silence. It is never later than promised, and
@@ -70,11 +79,14 @@ impl SyncDue {
     }
 }
 
-/// Records with their numbers, in bounded memory.
+/// Records since the last sync with their numbers, in bounded memory. The system takes for written what a sync has failed with, so they are written
+/// again then.
 #[derive(Debug, Default)]
 struct Queue {
     records: VecDeque<(i64, Record)>,
     bytes: u64,
+    /// The first ones are committed. The disk refused the others, which are tried again: a full disk may have room again.
+    written: usize,
 }
 
 impl Queue {
@@ -84,12 +96,12 @@ impl Queue {
         while self.bytes > bytes_max
             && let Some((_, dropped)) = self.records.pop_front()
         {
-            self.bytes -= dropped.bytes();
+            (self.bytes, self.written) = (self.bytes - dropped.bytes(), self.written.saturating_sub(1));
         }
     }
 
-    fn clear(&mut self) {
-        (self.bytes, self.records) = (0, VecDeque::new());
+    fn unwritten(&self) -> impl Iterator<Item = &(i64, Record)> {
+        self.records.iter().skip(self.written)
     }
 }
 
@@ -105,16 +117,15 @@ pub struct Writer {
     bytes: u64,
     bytes_max: u64,
     boot_id: [u8; 16],
-    /// Records that the disk refused, tried again with the next ones: a full disk may have room again.
-    unwritten: Queue,
-    /// Records since the last sync. The system takes for written what a sync has failed with, so they are written again.
-    unsynced: Queue,
-    /// A sync has failed, and its records are not written again yet.
+    queue: Queue,
+    /// A sync has failed, and its records are not written again yet. Until then a sync that succeeds proves nothing.
     lacks_pages: bool,
     /// Events that trims have deleted.
     trimmed: usize,
     /// The habits in the database; `None` if they were never written.
     habits: Option<HabitRows>,
+    /// The persons in the database.
+    persons: Vec<KeptPerson>,
     pub(super) progress: Arc<Progress>,
 }
 
@@ -131,20 +142,18 @@ impl Writer {
         boot_id: &[u8; 16],
     ) -> Result<(Self, Recovered), Error> {
         let progress = Arc::new(Progress::default());
-        let (unwritten, unsynced) = Default::default();
-        let boot_id = *boot_id;
         let mut writer = Self {
             database,
             directory,
             number: 0,
             bytes: 0,
             bytes_max,
-            boot_id,
-            unwritten,
-            unsynced,
+            boot_id: *boot_id,
+            queue: Queue::default(),
             lacks_pages: false,
             trimmed: 0,
             habits: None,
+            persons: Vec::new(),
             progress,
         };
         let recovered = match writer.start() {
@@ -173,6 +182,7 @@ impl Writer {
         }
         let recovered = self.recover()?;
         self.habits.clone_from(&recovered.habits);
+        self.persons.clone_from(&recovered.persons);
         Ok(recovered)
     }
 
@@ -197,7 +207,7 @@ impl Writer {
     /// Reads the journal of earlier versions, once.
     fn import(&mut self) -> Result<(), Error> {
         let Some(directory) = &self.directory else { return Ok(()) };
-        let is_imported = |transaction: &rusqlite::Transaction<'_>| {
+        let is_imported = |transaction: &Transaction<'_>| {
             transaction.query_row("SELECT count(*) FROM meta WHERE key = 'read_old_files'", [], |row| row.get(0))
         };
         if self.database.write(is_imported)? {
@@ -230,24 +240,50 @@ impl Writer {
     pub fn write(&mut self, batch: impl IntoIterator<Item = Record>) -> Result<(), Error> {
         for record in batch {
             self.number += 1;
-            self.unwritten.push(self.number, record, self.bytes_max);
+            self.queue.push(self.number, record, self.bytes_max);
         }
-        self.write_out().inspect_err(|error| self.recover_from(error))
+        self.write_out(None).inspect_err(|error| self.recover_from(error))
     }
 
-    fn write_out(&mut self) -> Result<(), Error> {
-        self.rewrite()?;
-        if self.unwritten.records.is_empty() {
+    /// Writes the records that are not written, and new habits, in one transaction.
+    fn write_out(&mut self, new: Option<HabitRows>) -> Result<(), Error> {
+        if !self.is_behind() && new.is_none() {
             return Ok(());
         }
-        self.commit(false)?;
-        let Queue { records, bytes } = std::mem::take(&mut self.unwritten);
-        self.bytes += bytes;
-        for (number, record) in records {
-            self.unsynced.push(number, record, self.bytes_max);
+        let is_again = self.lacks_pages;
+        if is_again {
+            self.reopen()?;
+            self.queue.written = 0;
+            // SQLite does not know any more which part of the log it has copied, and a full disk has no other space.
+            self.database.make_room().or_else(|error| if is_full(&error) { Ok(()) } else { Err(error) })?;
         }
+        let Self { database, queue, habits, persons, .. } = self;
+        let (known, nothing) = (habits.as_ref().filter(|habits| !habits.is_damaged()), HabitRows::default());
+        let before = known.filter(|_| !is_again);
+        let rows = new.as_ref().or(known.filter(|_| is_again));
+        database.write(|transaction| {
+            queue.unwritten().try_for_each(|(number, record)| store::write(transaction, *number, record))?;
+            if is_again {
+                store::write_persons(transaction, persons)?;
+            }
+            let Some(rows) = rows else { return Ok(()) };
+            if before.is_none() {
+                HabitRows::clear(transaction)?;
+            }
+            rows.write(transaction, before.unwrap_or(&nothing))
+        })?;
+        *habits = new.or(habits.take());
+        self.bytes += queue.unwritten().map(|(_, record)| record.bytes()).sum::<u64>();
+        (queue.written, self.lacks_pages) = (queue.records.len(), false);
         // A flood does not wait for the next sync.
         if self.bytes > self.bytes_max.saturating_add(self.bytes_max / 4) { self.trim() } else { Ok(()) }
+    }
+
+    /// Opens the database again: SQLite drops the damaged end of the log.
+    fn reopen(&mut self) -> Result<(), Error> {
+        let set_aside = self.database.reopen().map_err(inner)?;
+        set_aside.iter().for_each(tell_of);
+        self.begin()
     }
 
     /// Deletes the oldest events if there are too many.
@@ -260,37 +296,6 @@ impl Writer {
         Ok(())
     }
 
-    fn commit(&mut self, again: bool) -> Result<(), Error> {
-        let Self { database, unwritten, unsynced, .. } = self;
-        let records = if again { &unsynced.records } else { &unwritten.records };
-        database.write(|transaction| {
-            records.iter().try_for_each(|(number, record)| store::write(transaction, *number, record))
-        })
-    }
-
-    /// Writes the records again that a failed sync may have lost. Until then a sync that succeeds proves nothing.
-    fn rewrite(&mut self) -> Result<(), Error> {
-        if self.lacks_pages {
-            self.reopen()?;
-            self.commit(true)?;
-            if let Some(habits) = &self.habits {
-                self.database.write(|transaction| {
-                    HabitRows::clear(transaction)?;
-                    habits.write(transaction, &HabitRows::default())
-                })?;
-            }
-            self.lacks_pages = false;
-        }
-        Ok(())
-    }
-
-    /// Opens the database again: SQLite drops the damaged end of the log.
-    fn reopen(&mut self) -> Result<(), Error> {
-        let set_aside = self.database.reopen().map_err(inner)?;
-        set_aside.iter().for_each(tell_of);
-        self.begin()
-    }
-
     /// After an error that says damage, the database is opened again with the next records. If the damage stays, a new database begins.
     fn recover_from(&mut self, error: &Error) {
         if self.lacks_pages && is_damage(error) {
@@ -299,13 +304,13 @@ impl Writer {
                 Err(error) => tracing::error!(%error, "the damaged state database cannot be set aside"),
             }
         }
-        // SQLite syncs in some writes, too, and a failed sync may have lost pages.
-        let is_failed = error.sqlite_error_code() == Some(ErrorCode::SystemIoFailure);
-        self.lacks_pages |= is_failed || is_damage(error) || self.database.connection().is_err();
-        if error.sqlite_error_code() == Some(ErrorCode::DiskFull) && !self.lacks_pages {
-            // It syncs: a failure may have lost pages.
-            self.lacks_pages = self.database.make_room().is_err();
-        }
+        self.lacks_pages |= match error.sqlite_error_code() {
+            Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => false,
+            // Copying the log syncs.
+            Some(ErrorCode::DiskFull) => self.database.make_room().is_err_and(|error| !is_full(&error)),
+            // SQLite syncs in some writes, too, and a failed sync may have lost pages.
+            _ => true,
+        };
     }
 
     /// Brings all commits to the disk, and deletes the oldest events first if there are too many.
@@ -313,19 +318,21 @@ impl Writer {
     /// # Errors
     /// When the disk refuses, or no name leads to the database any more.
     pub fn sync(&mut self) -> Result<(), Error> {
-        let synced = self.sync_all();
+        self.synced(roomcast_database::count_sync)
+    }
+
+    /// Runs work in a transaction that brings all commits to the disk.
+    fn synced(&mut self, work: impl FnOnce(&Transaction<'_>) -> Result<(), Error>) -> Result<(), Error> {
+        let synced = self.try_synced(work);
         self.progress.is_unsynced.store(synced.is_err(), Ordering::Relaxed);
         synced.inspect_err(|error| self.recover_from(error))
     }
 
-    fn sync_all(&mut self) -> Result<(), Error> {
-        self.rewrite()?;
+    fn try_synced(&mut self, work: impl FnOnce(&Transaction<'_>) -> Result<(), Error>) -> Result<(), Error> {
+        self.write_out(None)?;
         self.trim()?;
-        if let Err(error) = self.database.sync() {
-            self.lacks_pages = true;
-            return Err(error);
-        }
-        self.unsynced.clear();
+        self.database.write_synced(work)?;
+        self.queue = Queue::default();
         self.tell_bytes();
         Ok(())
     }
@@ -344,7 +351,7 @@ impl Writer {
         let removed = self.database.remove_set_aside();
         let removed = removed
             .and_then(|()| self.directory.as_deref().map_or(Ok(()), |directory| old::remove(directory, &old::EVENTS)));
-        removed.map_err(|error| Error::ToSqlConversionFailure(Box::new(error)))?;
+        removed.map_err(refused)?;
         // Also when nothing has changed: an earlier call may have failed before this.
         self.erase()?;
         if is_changed {
@@ -353,52 +360,61 @@ impl Writer {
         Ok(theirs)
     }
 
-    /// Writes the habits, with the records that the disk refused before. If a person is forgotten, no byte of the old rows stays.
+    /// Writes the habits, with the records that the disk refused before.
     ///
     /// # Errors
     /// When the disk refuses.
-    pub fn write_habits(&mut self, rows: HabitRows, is_forgotten: bool) -> Result<(), Error> {
-        self.write([])?;
-        let nothing = HabitRows::default();
-        let known = self.habits.as_ref().filter(|rows| !rows.is_damaged());
-        let written = self.database.write(|transaction| {
-            if known.is_none() {
-                HabitRows::clear(transaction)?;
-            }
-            rows.write(transaction, known.unwrap_or(&nothing))
-        });
-        written.inspect_err(|error| self.recover_from(error))?;
-        self.habits = Some(rows);
-        if is_forgotten {
-            if let Some(directory) = &self.directory {
-                old::remove(directory, &old::HABITS).map_err(|error| Error::ToSqlConversionFailure(Box::new(error)))?;
-            }
-            self.erase()?;
+    pub fn write_habits(&mut self, memory: &Memory) -> Result<(), Error> {
+        let rows = HabitRows::of(memory).map_err(refused)?;
+        self.write_out(Some(rows)).inspect_err(|error| self.recover_from(error))
+    }
+
+    /// Writes the habits that wait, if any. If the disk refuses, they wait again.
+    pub(super) fn write_waiting_habits(&mut self) {
+        let written = self.try_waiting_habits();
+        self.note(written);
+    }
+
+    fn try_waiting_habits(&mut self) -> Result<(), Error> {
+        let progress = Arc::clone(&self.progress);
+        let waiting = || progress.habits.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(memory) = waiting().take() else { return Ok(()) };
+        self.write_habits(&memory).inspect_err(|_| _ = waiting().get_or_insert(memory))
+    }
+
+    /// Writes the habits after a person was forgotten: no byte of the old rows stays.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub(super) fn forget_habits(&mut self) -> Result<(), Error> {
+        self.try_waiting_habits()?;
+        if let Some(directory) = &self.directory {
+            old::remove(directory, &old::HABITS).map_err(refused)?;
         }
-        Ok(())
+        self.erase()
     }
 
     /// Replaces the persons with a name that the home gave, on the disk.
     ///
     /// # Errors
-    /// When the disk refuses.
-    pub(super) fn write_persons(&mut self, persons: &[KeptPerson]) -> Result<(), Error> {
-        let written = self.database.write(|transaction| store::write_persons(transaction, persons));
-        written.inspect_err(|error| self.recover_from(error))?;
-        self.sync()
+    /// When the disk refuses; then the old ones stay.
+    pub(super) fn write_persons(&mut self, persons: Vec<KeptPerson>) -> Result<(), Error> {
+        self.synced(|transaction| store::write_persons(transaction, &persons))?;
+        self.persons = persons;
+        Ok(())
     }
 
     fn erase(&mut self) -> Result<(), Error> {
         self.database.erase().inspect_err(|error| self.recover_from(error))?;
         // Nothing that a later sync loses was written before this.
-        self.unsynced.clear();
+        self.queue = Queue::default();
         self.tell_bytes();
         Ok(())
     }
 
     /// Whether there are records that the disk refused.
     pub(super) fn is_behind(&self) -> bool {
-        !self.unwritten.records.is_empty() || self.lacks_pages
+        self.queue.written < self.queue.records.len() || self.lacks_pages
     }
 
     /// Events that were deleted because there were too many.

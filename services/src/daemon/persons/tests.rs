@@ -76,7 +76,7 @@ impl House {
     fn step(&mut self, entry: Option<Entry>) {
         self.board.step(entry, BootNs(self.now_ns), UnixNs(1_000_000 * S + self.now_ns)).unwrap();
         let journal = &mut self.journal;
-        self.board.tell_beliefs(|believed| journal.push(&believed));
+        self.board.tell_beliefs(|believed| journal.push(believed));
         self.board.tell_moved(|moved| journal.push(Record::Moved(moved.clone())));
         self.board.tell_gone(|person| journal.push(Record::Gone(person)));
         self.board.tell_outcomes(|outcome| journal.push(outcome));
@@ -818,7 +818,7 @@ fn heard(house: &House) -> BTreeMap<PersonId, (Presence, i64)> {
 fn forget(house: &mut House, who: &str) -> PersonAnswer {
     let question = PersonQuestion::Forget { id: "1".to_owned(), who: who.to_owned() };
     let House { board, journal, .. } = house;
-    let answer = journal.with(|handle| answer_about_person(board, (Some(handle), None), Ok(question)));
+    let answer = journal.with(|handle| answer_about_person(board, Some(handle), Ok(question)));
     house.step(None);
     answer
 }

@@ -547,9 +547,11 @@ struct Day {
     shared_min: f64,
     cleaned: usize,
     failed: usize,
+    /// Minutes of work while a person held the robot, after the minute that it takes to stop.
+    held_min: f64,
 }
 
-/// The faults of a day: the robot gets stuck, loses commands, the broker is away, the driver restarts.
+/// The faults of a day: the robot gets stuck, loses commands, the broker is away, the driver restarts, and a person holds the robot.
 #[derive(Debug, Clone, Copy)]
 struct Trouble(bool);
 
@@ -568,7 +570,8 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
     let mut robot = FakeValetudo::new(TOPIC, &segments(ROOM_S));
     let dialect = Dialect::new(&config(), "roomcast", "robot");
     let mut forecaster = Forecaster::new(ROOMS.len(), ForecastOptions::default(), 0.0);
-    let (mut before, mut shared_s, mut failed, mut was_away) = (None, 0.0, 0, false);
+    let mut person_says = Reporter::new(&planning.robot, 10).unwrap();
+    let (mut before, mut shared_s, mut held_s, mut failed, mut was_away) = (None, 0.0, 0.0, 0, false);
     for second in HOURS.0 * 3600..HOURS.1 * 3600 {
         let (now_ns, now_s) = (second * S, second as f64);
         let person = person_at(now_s / 3600.0);
@@ -596,7 +599,15 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
         if hour(8.1) {
             driver = Driver::new(&config(), number);
         }
+        // A meeting, for which the robot stops.
+        let order = [(8.4, Kind::Hold), (9.4, Kind::Resume)].into_iter().find(|(at, _)| hour(*at));
+        if let Some((_, kind)) = order {
+            let order = person_says.message(&Report::new(kind), BootNs(now_ns), UnixNs(now_ns)).unwrap();
+            planner.take_report(&order, BootNs(now_ns)).unwrap();
+        }
         robot.pass(1.0);
+        let is_held = trouble && (8.4 + 60.0 / 3600.0..9.4).contains(&(now_s / 3600.0));
+        held_s += f64::from(u8::from(is_held && robot.doing == Doing::Cleaning));
         if person.is_some()
             && robot.job.as_ref().is_some_and(|(segment, _)| {
                 robot.doing == Doing::Cleaning && segments(0.0).iter().position(|s| s.0 == segment) == person
@@ -645,7 +656,7 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
         }
     }
     let cleaned: std::collections::BTreeSet<_> = robot.cleaned.iter().collect();
-    Day { shared_min: shared_s / 60.0, cleaned: cleaned.len(), failed }
+    Day { shared_min: shared_s / 60.0, cleaned: cleaned.len(), failed, held_min: held_s / 60.0 }
 }
 
 fn tell(forecaster: &Forecaster, second: u64) -> (RoomScoresV1, ForecastV1) {
@@ -679,10 +690,10 @@ fn a_flat_is_cleaned_over_a_day_while_a_person_lives_there() {
     println!("coverage-aware {quiet:?}, naive {naive:?}, plain schedules {schedules:.1?} min, mean {mean:.1} min");
     assert_eq!((quiet.cleaned, quiet.failed), (4, 0));
     assert!(quiet.shared_min < naive.shared_min && quiet.shared_min < mean, "{quiet:?} {naive:?} {schedules:?}");
-    // With lost commands, a stuck robot, an absent broker and a restarted driver, all rooms are still done.
+    // With lost commands, a stuck robot, an absent broker, a restarted driver and an hour on hold, all rooms are still done.
     let troubled = live(PolicyName::CoverageAware, Trouble(true));
     println!("with trouble {troubled:?}");
-    assert_eq!(troubled.cleaned, 4);
+    assert_eq!((troubled.cleaned, troubled.held_min), (4, 0.0));
     assert!(troubled.failed >= 1 && troubled.shared_min < mean, "{troubled:?}");
 }
 

@@ -2,6 +2,7 @@
 
 use super::*;
 use roomcast_core::ids::{BootNs, UnixNs};
+use roomcast_ipc::raw::{RobotReportV1, report_kind};
 
 const BED_JON: Device = ("bed", "bed-jon", "bedroom", "Jon");
 const BED_MIRA: Device = ("bed", "bed-mira", "bedroom", "Mira");
@@ -251,6 +252,46 @@ fn sensors_outlive_a_restart() {
     );
     flat.0.wait(3_600);
     assert!(flat.at("Jon", "bedroom") > 0.9, "the bed is still on: {}", flat.at("Jon", "bedroom"));
+}
+
+#[test]
+fn a_device_of_a_renamed_narrator_counts_once() {
+    let mut flat = Flat::new();
+    flat.0.after(1, "Jon", "They open the fridge.");
+    flat.after(60, LIVING, true);
+    flat.0.wait(60);
+    assert!(flat.occupied("living-room") > 0.8, "{}", flat.occupied("living-room"));
+    let report = flat.report(LIVING, true);
+    flat.0.enter(Observation { source: 8, ..report });
+    flat.0.wait(60);
+    let report = flat.report(LIVING, false);
+    flat.0.enter(Observation { source: 8, ..report });
+    flat.0.wait(600);
+    assert!(flat.occupied("living-room") < 0.3, "{}", flat.occupied("living-room"));
+}
+
+#[test]
+fn the_motion_of_a_robot_is_explained_also_after_a_restart() {
+    let mut flat = Flat::new();
+    for phone in [PHONE_JON, PHONE_MIRA] {
+        flat.after(60, CORRIDOR, true);
+        flat.after(50, CORRIDOR, false);
+        flat.after(10, phone, false);
+    }
+    flat.0.wait(1_800);
+    let mut report = RobotReportV1 { kind: report_kind::STARTED, robot: 5, ..Default::default() };
+    for (room, sensor) in [("corridor", CORRIDOR), ("kitchen", KITCHEN), ("bathroom", BATHROOM)] {
+        report.room = text::encode("room", room).unwrap();
+        flat.0.board.see_report(&report, BootNs(flat.0.now_ns));
+        for _ in 0..4 {
+            flat.after(5, sensor, true);
+            flat.after(60, sensor, false);
+        }
+    }
+    let before = flat.house_empty();
+    flat.0.restart_on(board_of(FLAT, &flat.0.config));
+    let after = flat.house_empty();
+    assert!(before > 0.9 && (before - after).abs() < 0.05, "{before} {after}");
 }
 
 #[test]
