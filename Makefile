@@ -205,8 +205,21 @@ c-header: ## After a change of the messages: writes clients/c/roomcast.h.
 	ROOMCAST_WRITE_HEADER=1 cargo test --release --locked --package roomcast-ipc --test it c_header::
 
 .PHONY: deb
-deb: setup ## Builds the Debian package, portable across processors (half an hour on two cores; needs cargo-deb).
+deb: setup ## Builds the Debian package, portable across processors (half an hour on two cores).
 	@.ci/deb
+
+.PHONY: dist
+dist: setup ## Builds all artefacts of a release into target/dist: tarball, Debian package, wheels, crates, add-on, sums (an hour on two cores).
+	@.ci/dist
+
+.PHONY: dist-aarch64
+dist-aarch64: setup ## The same for 64-bit Arm, cross-compiled, then tried under emulation (needs g++-aarch64-linux-gnu and qemu-user).
+	@.ci/dist aarch64
+	@.ci/check-aarch64
+
+.PHONY: trials
+trials: ## Tries each artefact of target/dist as its user would, in fresh systems and Python environments, and prints a table.
+	@.ci/trials
 
 .PHONY: clean
 clean: ## Removes everything that was built.

@@ -243,23 +243,19 @@ pub fn backend() -> Result<&'static LlamaBackend, String> {
     Ok(BACKEND.get_or_init(|| backend))
 }
 
-/// Loads the kernels that fit this processor best: from `../lib/roomcast` of a package, else from this build's folder.
+/// Loads the kernels that fit this processor best, from `../lib/roomcast` beside the program. Never from the folder of the build: on a user's
+/// machine, another user could create that folder.
 #[cfg(feature = "portable")]
 fn load_kernels() -> Result<(), String> {
     use llama_cpp_2::llama_backend::load_backends_from_path;
     let program = std::env::current_exe().map_err(|e| format!("the program's own path cannot be found: {e}"))?;
-    let packaged = program.ancestors().nth(2).map(|prefix| prefix.join("lib/roomcast"));
-    let built = llama_cpp_sys_2::BACKENDS_DIR.map(std::path::PathBuf::from);
-    let kernels = |folder: &std::path::PathBuf| {
-        let entries = folder.read_dir().into_iter().flatten().flatten();
-        folder.to_str().is_some()
-            && entries.map(|entry| entry.file_name()).any(|name| name.to_string_lossy().starts_with("libggml-cpu-"))
-    };
-    let places: Vec<_> = packaged.into_iter().chain(built).collect();
-    let Some(folder) = places.iter().find(|folder| kernels(folder)) else {
-        let places: Vec<_> = places.iter().map(|folder| folder.display().to_string()).collect();
-        return Err(format!("no kernels (libggml-cpu-*.so) in {}: install the package again", places.join(" or ")));
-    };
+    let folder = &program.ancestors().nth(2).unwrap_or(&program).join("lib/roomcast");
+    let mut entries = folder.read_dir().into_iter().flatten().flatten();
+    if folder.to_str().is_none()
+        || !entries.any(|entry| entry.file_name().to_string_lossy().starts_with("libggml-cpu-"))
+    {
+        return Err(format!("no kernels (libggml-cpu-*.so) in {}: install the package again", folder.display()));
+    }
     load_backends_from_path(folder);
     Ok(())
 }

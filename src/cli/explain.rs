@@ -48,10 +48,10 @@ pub struct Args {
     #[arg(long, value_name = "FILE", conflicts_with_all = OF_A_NARRATION, conflicts_with_all = OF_A_MODEL)]
     recording: Option<PathBuf>,
     /// The moment, in seconds from the recording's beginning: the last scores before it. Without it, the last scores of all.
-    #[arg(long, value_name = "SECONDS", requires = "recording", conflicts_with_all = ["sequence", "live"], conflicts_with_all = OF_A_NARRATION, value_parser = ranges::time_s)]
+    #[arg(long, value_name = "SECONDS", requires = "recording", conflicts_with_all = ["sequence", "live"], conflicts_with_all = OF_A_NARRATION, conflicts_with_all = OF_A_MODEL, value_parser = ranges::time_s)]
     at: Option<f64>,
     /// The scores' sequence number.
-    #[arg(long, value_name = "N", requires = "recording", conflicts_with = "live", conflicts_with_all = OF_A_NARRATION, value_parser = ranges::any())]
+    #[arg(long, value_name = "N", requires = "recording", conflicts_with = "live", conflicts_with_all = OF_A_NARRATION, conflicts_with_all = OF_A_MODEL, value_parser = ranges::any())]
     sequence: Option<u64>,
     /// Explain the scores of this person alone. Without it, those of each person, one after the other.
     #[arg(long, value_name = "WHO")]

@@ -1,11 +1,12 @@
 //! `roomcast latency`: measures events to scores and decisions between real processes, and yardsticks for comparison.
 
+use std::cell::Cell;
 use std::path::PathBuf;
 use std::process::Stdio;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
-use indicatif::ProgressBar;
+use indicatif::{ProgressBar, ProgressStyle};
 use roomcast_ipc::raw::{DecisionV1, RoomScoresV1};
 use roomcast_ipc::{Domain, Node};
 use serde::Serialize;
@@ -21,6 +22,8 @@ use roomcast_services::stop::Stop;
 
 /// Loading the model is the slow part of the start.
 const START_WITHIN: Duration = Duration::from_secs(120);
+/// How often the progress has a line of its own without a terminal.
+const SHOWN_EVERY: Duration = Duration::from_secs(10);
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -81,6 +84,32 @@ enum Load {
     Both,
 }
 
+/// A bar in a terminal. Elsewhere a line from time to time, since a measurement with long pauses takes minutes.
+struct Progress {
+    bar: ProgressBar,
+    shown: Cell<Instant>,
+}
+
+impl Progress {
+    fn new(samples: u64) -> Self {
+        let bar = ProgressBar::new(samples);
+        if let Ok(style) = ProgressStyle::with_template("{wide_bar} {pos}/{len} samples, {eta} left") {
+            bar.set_style(style);
+        }
+        bar.tick();
+        Self { bar, shown: Cell::new(Instant::now()) }
+    }
+
+    fn measured(&self) {
+        self.bar.inc(1);
+        if self.bar.is_hidden() && self.shown.get().elapsed() >= SHOWN_EVERY {
+            self.shown.set(Instant::now());
+            let (done, all, left_s) = (self.bar.position(), self.bar.length().unwrap_or(0), self.bar.eta().as_secs());
+            super::tell(format_args!("{done} of {all} samples, about {left_s} s left"));
+        }
+    }
+}
+
 #[derive(Serialize)]
 struct Report {
     rows: Vec<Row>,
@@ -109,7 +138,7 @@ pub fn run(args: &Args) -> CommandResult {
         Load::Both => &["idle", "busy"],
     };
     let runs = (scorers.len() * loads.len()) as u64;
-    let progress = ProgressBar::new(runs * 2 * (args.samples + args.warm_up()));
+    let progress = Progress::new(runs * 2 * (args.samples + args.warm_up()));
     let mut rows = Vec::new();
     for scorer in scorers {
         for load in loads {
@@ -120,7 +149,7 @@ pub fn run(args: &Args) -> CommandResult {
             rows.extend(measured?);
         }
     }
-    progress.finish_and_clear();
+    progress.bar.finish_and_clear();
     if args.json {
         return print_json(&Report { rows });
     }
@@ -151,7 +180,7 @@ fn measure(
     scorer: &'static str,
     load: &'static str,
     stop: &Stop,
-    progress: &ProgressBar,
+    progress: &Progress,
 ) -> Result<Vec<Row>, Failure> {
     let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp");
     let directory = directory.map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot use /tmp: {error}")))?;
@@ -178,7 +207,7 @@ fn on_stage(
     stage: &mut Stage,
     node: &Node,
     stop: &Stop,
-    progress: &ProgressBar,
+    progress: &Progress,
 ) -> Result<Vec<Row>, Failure> {
     let mut daemon = vec!["--scene".into(), args.scene.clone().into_os_string()];
     match (&args.model, scorer) {
@@ -198,7 +227,7 @@ fn on_stage(
     probes.push(Probe::Scores(Narrator::new(node, "latency", &sentences)?, scores));
     let pause = Duration::from_millis(args.pause);
     let take = |probes: &mut Vec<Probe>| {
-        latency::interleaved(probes, args.samples, args.warm_up(), pause, stop, || progress.inc(1))
+        latency::interleaved(probes, args.samples, args.warm_up(), pause, stop, || progress.measured())
     };
     let row = |probe: &Probe, samples_ns: &Histogram<u64>| Row::new(probe.path(), scorer, load, samples_ns);
     let Taken { histograms, prepared, computed } = take(&mut probes)?;
@@ -241,7 +270,7 @@ fn yardsticks(stage: &mut Stage, node: &Node) -> Result<Vec<Probe>, Failure> {
 }
 
 fn wait_for(stage: &mut Stage, stop: &Stop, mut there: impl FnMut() -> Result<bool, Failure>) -> CommandResult {
-    let start = std::time::Instant::now();
+    let start = Instant::now();
     while !stop.requested() && !there()? {
         stage.check()?;
         if start.elapsed() > START_WITHIN {

@@ -91,6 +91,38 @@ fn position(text: &str) -> Result<[f64; 3], String> {
     numbers.ok_or_else(|| "give three numbers in metres, such as 1.5,2,0".to_owned())
 }
 
+impl Args {
+    fn refuse_options_of_one_report(&self) -> CommandResult {
+        let of_one = [
+            ("--room", self.room.is_some()),
+            ("--battery", self.battery.is_some()),
+            ("--position", self.position.is_some()),
+            ("--decision", self.decision.is_some()),
+            ("--note", self.note.is_some()),
+            ("--for", self.for_s.is_some()),
+        ];
+        match (self.what, of_one.iter().find(|(_, given)| *given)) {
+            (What::Lines, Some((option, _))) => {
+                let text = format!("{option} is for one report; with `-`, give it in the line");
+                Err(Failure::new(exit_code::USAGE, text))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn report(&self, kind: Kind) -> Report {
+        Report {
+            kind,
+            room: self.room.clone(),
+            battery: self.battery,
+            position: self.position,
+            decision: self.decision,
+            note: self.note.clone(),
+            for_s: self.for_s,
+        }
+    }
+}
+
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let (config, domain) = args.service.load()?;
@@ -98,31 +130,12 @@ pub fn run(args: &Args) -> CommandResult {
     let usage = |error: String| Failure::new(exit_code::USAGE, error);
     let mut reporter =
         Reporter::new(robot, sequence::random_epoch()).map_err(|error| usage(format!("--robot: {error}")))?;
-    let of_one = [
-        ("--room", args.room.is_some()),
-        ("--battery", args.battery.is_some()),
-        ("--position", args.position.is_some()),
-        ("--decision", args.decision.is_some()),
-        ("--note", args.note.is_some()),
-        ("--for", args.for_s.is_some()),
-    ];
-    if let (What::Lines, Some((option, _))) = (args.what, of_one.iter().find(|(_, given)| *given)) {
-        return Err(usage(format!("{option} is for one report; with `-`, give it in the line")));
-    }
+    args.refuse_options_of_one_report()?;
     let ipc = |error: IpcError| Failure::new(exit_code::IPC, error);
     // A malformed report is refused before any wait.
     let one = match args.what {
         What::One(kind) => {
-            let report = Report {
-                kind,
-                room: args.room.clone(),
-                battery: args.battery,
-                position: args.position,
-                decision: args.decision,
-                note: args.note.clone(),
-                for_s: args.for_s,
-            };
-            let message = reporter.message(&report, clock::monotonic_ns(), clock::unix_ns());
+            let message = reporter.message(&args.report(kind), clock::monotonic_ns(), clock::unix_ns());
             Some(message.map_err(|error| Failure::new(exit_code::INPUT, error))?)
         }
         What::Lines => None,

@@ -53,7 +53,7 @@ impl Orders {
         self.parts(topic).is_some() || self.person(topic).is_some()
     }
 
-    /// The person whose place a topic corrects.
+    /// The person of a topic that corrects a place.
     fn person<'a>(&self, topic: &'a str) -> Option<&'a str> {
         let person = topic.strip_prefix(&self.base)?.strip_prefix("/persons/")?.strip_suffix("/place")?;
         (!person.contains('/')).then_some(person)

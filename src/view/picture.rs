@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, VecDeque};
 
 use roomcast_core::ids::PersonId;
 use roomcast_ipc::raw::{
-    DecisionV1, ForecastV1, MAX_HORIZONS, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1,
-    RobotReportV1, RoomScoresV1, RoomV1, action, presence,
+    DecisionV1, ForecastV1, MAX_HORIZONS, NarrationV1, PersonForecastsV1, PersonScoresV1, PersonV1, RobotReportV1,
+    RoomScoresV1, RoomV1, action, presence,
 };
 use roomcast_ipc::{ItemScores, Presence};
 use roomcast_services::daemon::flag_words;
@@ -14,7 +14,7 @@ use roomcast_services::recording::Recorded;
 use serde_json::{Value, json};
 
 use super::plan::Plan;
-use super::quality::Quality;
+use super::quality::{Quality, likeliest, short};
 use crate::decided::{Decided, News};
 use crate::flags::{decision_flag_names, forecast_flag_names, plain, score_flag_names};
 use crate::robot_place::Places;
@@ -25,11 +25,6 @@ const NARRATIONS: usize = 50;
 const STAYS: usize = 8;
 /// Silence after which the daemon counts as gone, in nanoseconds: some heartbeats.
 const SILENCE_NS: u64 = 1_500_000_000;
-
-/// A probability with the digits that the page needs.
-pub(super) fn short(p: f64) -> f64 {
-    (p * 1e4).round() / 1e4
-}
 
 fn row(row: &[f32]) -> Vec<f64> {
     row.iter().map(|p| short(f64::from(*p))).collect()
@@ -113,7 +108,8 @@ impl Picture {
                 self.stays.clear();
             }
             // A decision to stay prolongs the stay.
-            if self.stays.back().is_none_or(|(_, room, worked)| (room.as_str(), *worked) != (decision.to(), works)) {
+            let is_same = self.stays.back().is_some_and(|(_, room, worked)| room == decision.to() && *worked == works);
+            if !is_same && !decision.to().is_empty() {
                 self.stays.push_back((taken_ns, decision.to().to_owned(), works));
             }
             if self.stays.len() > STAYS {
@@ -281,10 +277,4 @@ impl Picture {
         };
         persons.persons().iter().map(card).collect()
     }
-}
-
-/// A person's most probable room now, and its probability.
-pub(super) fn likeliest(told: &PersonForecastsV1, own: &PersonForecastV1) -> Option<(usize, f32)> {
-    let now = (0..told.rooms().len()).filter_map(|room| Some((room, *own.probability.get(room)?.first()?)));
-    now.max_by(|a, b| a.1.total_cmp(&b.1))
 }

@@ -5,7 +5,16 @@ use std::collections::VecDeque;
 use roomcast_ipc::raw::{PersonForecastV1, PersonForecastsV1, PersonScoresV1};
 use serde_json::{Value, json};
 
-use super::picture::{likeliest, short};
+/// A probability with the digits that the page needs.
+pub(super) fn short(p: f64) -> f64 {
+    (p * 1e4).round() / 1e4
+}
+
+/// A person's most probable room now, and its probability.
+pub(super) fn likeliest(told: &PersonForecastsV1, own: &PersonForecastV1) -> Option<(usize, f32)> {
+    let now = (0..told.rooms().len()).filter_map(|room| Some((room, *own.probability.get(room)?.first()?)));
+    now.max_by(|a, b| a.1.total_cmp(&b.1))
+}
 
 /// The quality of forecasts: the probability that the forecast of 15 minutes before gave to the observed room. Unobserved rooms are not compared, or
 /// the forecast would be its own judge.

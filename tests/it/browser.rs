@@ -210,6 +210,27 @@ fn the_page_shows_a_running_system_in_a_real_browser() {
         "return [...document.querySelectorAll('#plan .thing')].some(dot => dot.r.baseVal.value > 0)",
     );
 
+    browser.until(
+        "ada's place is a sentence",
+        "return document.getElementById('persons').innerText.includes('ada: Kitchen (')",
+    );
+    browser.until(
+        "her next hour and the robot's rooms are shown",
+        "return document.querySelectorAll('#persons .hour rect').length >= 16 && document.querySelectorAll('#robot .strip li').length >= 1",
+    );
+    // A tap sends a click, a mouse a movement of the pointer.
+    for (event, selector) in [("pointermove", "#plan .heat"), ("click", "#plan .touch"), ("click", "#persons rect")] {
+        let name = browser.run(&format!(
+            "const shape = document.querySelector({selector:?}); shape.dispatchEvent(new MouseEvent({event:?}, {{bubbles: true}}));
+            const named = document.getElementById('named'); return named.hidden ? '' : [named.innerText, shape.dataset.name].join('|')"
+        ));
+        let name = name.as_str().unwrap_or_default().to_owned();
+        assert!(
+            name.split_once('|').is_some_and(|(shown, own)| shown == own && !shown.is_empty()),
+            "{selector}: {name}"
+        );
+    }
+
     narrate(&format!("{}\n", json!({"person": "ben", "text": format!("They say {HOSTILE}")})));
     browser
         .until("hostile narration is shown as text", &format!("return document.body.innerText.includes({HOSTILE:?})"));

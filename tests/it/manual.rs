@@ -30,7 +30,7 @@ const LEFT_OUT: &[(&str, &str)] = &[
     ("planner", "runs already"),
     ("publish", "needs a broker"),
     ("record", "runs until a signal; tests of recordings"),
-    ("replay day.mcap --all --domain past", "needs a second domain; tests of recordings"),
+    ("replay", "needs a fresh daemon; tests of recordings"),
     ("robot", "needs a broker"),
     ("scene apply", "needs another map; tests of the map"),
     ("scene change", "needs a file of changes; tests of the map"),

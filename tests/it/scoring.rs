@@ -440,7 +440,7 @@ fn observation(sequence: u64, sentence: &str) -> Observation {
     Observation { observed_ns: BootNs(sequence), ..Observation::of(sequence, Sentence::new(sentence).unwrap()) }
 }
 
-/// A pipeline with partial answers and idle compaction against an exact one: the bounds hold, and the certified order is the exact order.
+/// A pipeline with partial answers and idle reading against an exact one: the bounds hold, and the certified order is the exact order.
 #[test]
 #[ignore = "full"]
 fn partial_answers_are_true_over_whole_programs() {

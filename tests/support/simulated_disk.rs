@@ -455,45 +455,20 @@ unsafe extern "C" fn randomness(_vfs: *mut ffi::sqlite3_vfs, count: c_int, out: 
     count
 }
 
-unsafe extern "C" fn sleep(_vfs: *mut ffi::sqlite3_vfs, microseconds: c_int) -> c_int {
-    microseconds
-}
-
-unsafe extern "C" fn now(_vfs: *mut ffi::sqlite3_vfs, out: *mut f64) -> c_int {
-    // SAFETY: SQLite gives room for the answer.
-    unsafe { *out = 2_460_000.5 };
-    ffi::SQLITE_OK
-}
-
-unsafe extern "C" fn last_error(_vfs: *mut ffi::sqlite3_vfs, _room: c_int, _out: *mut c_char) -> c_int {
-    0
-}
-
-/// Registers the disk with SQLite, once in a process.
+/// Registers the disk with SQLite, once in a process. Clock and sleep are those of the default VFS.
 fn register() {
+    // SAFETY: SQLite has a default VFS, which is never freed.
+    let default = unsafe { *ffi::sqlite3_vfs_find(std::ptr::null()) };
     let vfs = Box::leak(Box::new(ffi::sqlite3_vfs {
-        iVersion: 1,
         szOsFile: size_of::<Open>() as c_int,
-        mxPathname: 512,
         pNext: null_mut(),
         zName: NAME.as_ptr(),
-        pAppData: null_mut(),
         xOpen: Some(open),
         xDelete: Some(delete),
         xAccess: Some(access),
         xFullPathname: Some(full_path),
-        xDlOpen: None,
-        xDlError: None,
-        xDlSym: None,
-        xDlClose: None,
         xRandomness: Some(randomness),
-        xSleep: Some(sleep),
-        xCurrentTime: Some(now),
-        xGetLastError: Some(last_error),
-        xCurrentTimeInt64: None,
-        xSetSystemCall: None,
-        xGetSystemCall: None,
-        xNextSystemCall: None,
+        ..default
     }));
     // SAFETY: the VFS is complete, and is never freed.
     let code = unsafe { ffi::sqlite3_vfs_register(vfs, 0) };

@@ -180,6 +180,39 @@ fn the_doctor_blames_the_part_that_is_wrong() {
 }
 
 #[test]
+fn a_missing_map_has_one_exit_code_and_a_misspelt_one_a_suggestion() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("roomcast.toml");
+    std::fs::write(&config, "[scene]\npath = \"studoi\"\n[robot]\nleast_s = -1.0\n").unwrap();
+    for arguments in [
+        &["score", "--scene", "studoi", "They sit."][..],
+        &["scene", "check", "studoi", "studio"],
+        &["scene", "show", "studoi"],
+        &["scene", "draw", "studoi"],
+        &["scene", "import", "studoi", "--out", "scene.json"],
+        &["demo", "--scene", "studoi"],
+        &["config", "--check", config.to_str().unwrap()],
+    ] {
+        let output = roomcast(arguments).current_dir(folder.path()).output().unwrap();
+        let said = String::from_utf8([output.stdout, output.stderr].concat()).unwrap();
+        assert_eq!(output.status.code(), Some(i32::from(exit_code::INPUT)), "{arguments:?}: {said}");
+        assert!(arguments.contains(&"import") || said.contains("did you mean `studio`?"), "{arguments:?}: {said}");
+    }
+}
+
+#[test]
+fn verbose_commands_log_their_steps() {
+    let said = |arguments: &[&str]| {
+        let output = roomcast(arguments).env_remove("ROOMCAST_LOG").output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stderr).unwrap()
+    };
+    assert_eq!(said(&["scene", "show", "studio"]), "");
+    let verbose = said(&["scene", "show", "studio", "--verbose"]);
+    assert!(verbose.contains("DEBUG") && verbose.contains("loaded the map"), "{verbose}");
+}
+
+#[test]
 fn output_into_a_pipe_that_closes_ends_quietly() {
     for arguments in
         [&["completions", "bash"][..], &["config"], &["scene", "show", "apartment-e0", "--json"], &["help"]]

@@ -579,6 +579,8 @@ impl<M: LanguageModel> Board<M> {
         if !was_taken && at_ns.is_some_and(|at_ns| self.attribution.persons.is_outdated(&observation, at_ns)) {
             return Err(Reason::Outdated);
         }
+        let did_ns = self.attribution.persons.get(observation.person).map_or(i64::MIN, |known| known.did_ns);
+        let silent_s = seconds(noted_ns.saturating_sub(did_ns));
         if let Some(dropped) = self.attribution.persons.note(&observation, voice, noted_ns) {
             self.drop_person(dropped);
         }
@@ -596,6 +598,7 @@ impl<M: LanguageModel> Board<M> {
             at_ns,
             event: observation.event.clone(),
             is_off: observation.by_fit && is_off(&observation.event),
+            ends_window: self.scoring.pipeline.inside().options().history.is_gap(silent_s),
             is_read: !reporter.is_unknown && matches!(observation.event, Event::Did(_)),
             rooms: None,
         });

@@ -37,6 +37,8 @@ pub(super) struct Seen {
     pub(super) event: Event,
     /// A device turned off, and no key says that the person did it.
     pub(super) is_off: bool,
+    /// The person's window of narration has ended before it, although no step may have noticed the silence.
+    pub(super) ends_window: bool,
     /// The model's rooms count if the text names no place.
     pub(super) is_read: bool,
     /// These rooms: a likelihood for each.
@@ -90,6 +92,9 @@ impl Belief {
                 continue;
             }
             let own = self.followed.entry(seen.person).or_insert_with(|| follower(grounding, self.options, seen.at_ns));
+            if seen.ends_window {
+                own.end_window();
+            }
             match &seen.event {
                 Event::Did(_) if seen.is_off => {}
                 Event::Did(text) => {

@@ -13,7 +13,7 @@ fn a_prompt_cut_by_sentences_is_the_prompt_cut_whole() {
     let model = LlamaModel::load(file.as_ref(), &LlamaOptions { context_tokens: 64, ..Default::default() }).unwrap();
     assert!(model.sentences_apart(), "no token of the embedded model crosses from one sentence to the next");
     let texts: Vec<(String, Vec<i32>)> =
-        serde_json::from_str(include_str!("../../models/household-tokens.json")).unwrap();
+        serde_json::from_str(include_str!("../../../models/household-tokens.json")).unwrap();
     let texts: Vec<String> = texts.into_iter().map(|(text, _)| text).collect();
     assert!(texts.len() > REMEMBERED);
     let joint = prop::sample::select(vec![". ", ".  ", " ", ".", "", ". . ", "...", ".\u{2581}", "? ", "! ", "?! "]);

@@ -1,7 +1,5 @@
 //! What the model reads before an event: the same scores, and no event that reads a whole window.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::narration::{Action, Observation, Program, Sentence};
 use roomcast_core::pipeline::Pipeline;
