@@ -17,6 +17,8 @@ pub fn score_flag_names(flags: u32) -> Vec<&'static str> {
             (score_flags::SCORER_FAILED, "scorer-failed"),
             (score_flags::NOBODY_HOME, "nobody-home"),
             (score_flags::PREPARED, "prepared"),
+            (score_flags::UNFAMILIAR, "unfamiliar"),
+            (score_flags::MODEL_WEAK, "model-weak"),
         ],
     )
 }
@@ -30,6 +32,8 @@ pub fn forecast_flag_names(flags: u32) -> Vec<&'static str> {
             (forecast_flags::RESTORED, "restored"),
             (forecast_flags::NOBODY_HOME, "nobody-home"),
             (forecast_flags::RESIDENT_UNKNOWN, "resident-unknown"),
+            (forecast_flags::UNFAMILIAR, "unfamiliar"),
+            (forecast_flags::MODEL_WEAK, "model-weak"),
         ],
     )
 }
@@ -72,6 +76,7 @@ pub fn plain(flag: &str) -> &str {
         "gap" => "narration was lost",
         "held" => "held by a person",
         "interrupted" => "a person came in",
+        "model-weak" => "the model's scores are noise",
         "no-narration" => "no narration yet",
         "no-scores" => "no scores yet",
         "nobody-home" => "all persons are away",
@@ -85,6 +90,7 @@ pub fn plain(flag: &str) -> &str {
         "scorer-failed" => "scoring failed",
         "sources-cut" => "more narrators than the list holds",
         "stale" => "old scores",
+        "unfamiliar" => "the model does not know these words",
         other => other,
     }
 }
@@ -98,7 +104,7 @@ mod tests {
     #[test]
     fn flags_have_names() {
         assert_eq!(score_flag_names(score_flags::GAP | score_flags::NOBODY_HOME), ["gap", "nobody-home"]);
-        assert_eq!(forecast_flag_names(u32::MAX).len(), 4);
+        assert_eq!(forecast_flag_names(u32::MAX).len(), 6);
         assert_eq!(decision_flag_names(u32::MAX).len(), 14);
     }
 

@@ -76,6 +76,13 @@
 // All that the model was asked for these scores it had answered before the narration came: timing_ns has no decoder in it.
 #define ROOMCAST_SCORE_FLAGS_PREPARED (1 << 7)
 
+// The model does not know the words of a person's narration or of the map's labels: the scores say little, and weigh less in the
+// forecast.
+#define ROOMCAST_SCORE_FLAGS_UNFAMILIAR (1 << 8)
+
+// The model fails the check of its first scores: all scores are noise, and forecasts leave them out. The daemon's log has the reason.
+#define ROOMCAST_SCORE_FLAGS_MODEL_WEAK (1 << 9)
+
 // Most persons in one message; the longest silent ones are left out, and PersonScoresV1::persons says how many there are.
 #define ROOMCAST_MAX_PERSONS 8
 
@@ -90,6 +97,9 @@
 
 // Not of the household: forgotten after a silence.
 #define ROOMCAST_PERSON_FLAGS_VISITOR (1 << 3)
+
+// The model does not know the words of the person's narration or of the map's labels.
+#define ROOMCAST_PERSON_FLAGS_UNFAMILIAR (1 << 4)
 
 // Nothing was observed of the person.
 #define ROOMCAST_PRESENCE_UNKNOWN 0
@@ -124,6 +134,12 @@
 
 // A resident was not observed: the probabilities lack this resident, who may be in any room.
 #define ROOMCAST_FORECAST_FLAGS_RESIDENT_UNKNOWN (1 << 3)
+
+// The scores have the flag of this name: belief, stays and habits take the place of the model for the persons concerned.
+#define ROOMCAST_FORECAST_FLAGS_UNFAMILIAR (1 << 4)
+
+// The scores have the flag of this name: the forecast rests on belief, stays and habits alone.
+#define ROOMCAST_FORECAST_FLAGS_MODEL_WEAK (1 << 5)
 
 // Most bytes of a decision's reason.
 #define ROOMCAST_REASON_TEXT_BYTES 256

@@ -489,9 +489,9 @@ impl Forecaster {
     }
 
     /// As [`Forecaster::expect`], from `ln s_c` per label in nats. Like things are weighted by the person's present room and the things they used
-    /// recently. Scores of the same `number` are used once after each observation, so that after a restart, which restores the expectation and not
-    /// the scores, the result is the same.
-    pub fn expect_next(&mut self, grounding: &Grounding, label_log_prob_nats: &[f64], number: u64) {
+    /// recently. `trust`, 0 to 1, is their weight; the rest is the present room. Scores of the same `number` are used once after each observation, so
+    /// that after a restart, which restores the expectation and not the scores, the result is the same.
+    pub fn expect_next(&mut self, grounding: &Grounding, label_log_prob_nats: &[f64], trust: f64, number: u64) {
         let shape = (grounding.weights.rows(), grounding.weights.columns());
         let fits = shape == (label_log_prob_nats.len(), self.scores.len());
         if !self.expects || !fits || self.expected == Some(number) {
@@ -500,6 +500,7 @@ impl Forecaster {
         self.expected = Some(number);
         let (belief, in_use) = (&self.belief, (&self.in_use, self.options.any_thing));
         grounding.like_things.next_rooms(label_log_prob_nats, belief, in_use, &mut self.near, &mut self.scores);
+        self.scores.iter_mut().zip(belief).for_each(|(score, here)| *score = trust * *score + (1.0 - trust) * here);
     }
 
     /// For the last observation: seconds since the person turned to the object in hand; then total seconds and count of the intervals between
@@ -685,7 +686,7 @@ mod tests {
         let nats: Vec<f64> = (0..labels).map(|label| if label == spread { 0.0 } else { f64::NEG_INFINITY }).collect();
         let mut forecaster = Forecaster::new(rooms, ForecastOptions::default(), 0.0);
         let likeliest_next = |forecaster: &mut Forecaster, number: u64| {
-            forecaster.expect_next(&grounding, &nats, number);
+            forecaster.expect_next(&grounding, &nats, 1.0, number);
             likeliest(forecaster.expected().unwrap()).unwrap()
         };
         forecaster.observe(10.0, Some(only_in(first).into()), &grounding, &[]);
@@ -694,7 +695,7 @@ mod tests {
         // A report about a third room changes the belief a little; the same scores give the same expectation.
         if let Some(third) = (0..rooms).find(|room| ![first, second].contains(room)) {
             forecaster.exclude(11.0, third);
-            forecaster.expect_next(&grounding, &nats, 1);
+            forecaster.expect_next(&grounding, &nats, 1.0, 1);
             assert_eq!(forecaster.expected(), Some(&before[..]));
         }
         // The thing in use stays the one turned to, until the person has rested or the window ends.

@@ -28,6 +28,7 @@ use roomcast_simulation::binding::ItemChoice;
 use roomcast_simulation::{ScoreSource, StudyError};
 
 mod card;
+mod familiarity;
 mod folds;
 mod guesses;
 mod habits;
@@ -52,6 +53,8 @@ enum Experiment {
     Forecast(ForecastArgs),
     /// Every table of the model card, in Markdown.
     Card(card::CardArgs),
+    /// How much weight scores deserve after unknown words, and which texts are flagged.
+    Familiarity(familiarity::FamiliarityArgs),
     /// The forecast over folds: every activity by a model that was trained without it.
     Folds(folds::FoldsArgs),
     /// The forecast on the sealed split, once: the result is recorded before it is shown.
@@ -228,6 +231,7 @@ fn run(args: &Args) -> CommandResult {
     match &args.experiment {
         Experiment::Forecast(args) => run_forecast(args),
         Experiment::Card(args) => card::run(args),
+        Experiment::Familiarity(args) => familiarity::run(args),
         Experiment::Folds(args) => folds::run_folds(args),
         Experiment::Sealed(args) => folds::run_sealed(args),
         Experiment::Table1(args) => study::run_table1(args),

@@ -395,6 +395,7 @@ impl LlamaModel {
             context_tokens: context_tokens as usize,
             shares_prefix: !weights.is_recurrent() && !weights.is_hybrid(),
             correction: Correction::recommended(|key| header.written(key)).map_err(fail)?,
+            weakness: None,
             fingerprint,
         };
         let sentences_apart = text("tokenizer.ggml.model").as_deref() == Some("llama") && sentences_apart(&vocabulary);
@@ -424,6 +425,13 @@ impl LlamaModel {
             rows: Vec::new(),
             tokens: RefCell::new(Vec::with_capacity(context_tokens as usize)),
         })
+    }
+
+    /// This model, known to be weak for a reason, or usable ([`ModelInfo::weakness`]).
+    #[must_use]
+    pub fn judged(mut self, weakness: Option<String>) -> Self {
+        self.info.weakness = weakness;
+        self
     }
 
     /// The model's options, with the chosen cache in place of `Auto`.

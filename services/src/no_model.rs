@@ -28,6 +28,7 @@ impl Default for NoModel {
                 context_tokens: 1 << 20,
                 shares_prefix: true,
                 correction: Correction::default(),
+                weakness: None,
                 fingerprint: [0; 32],
             },
         }

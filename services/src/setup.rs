@@ -10,7 +10,7 @@ use roomcast_core::grounding::{Grounding, GroundingError};
 use roomcast_core::narration::{Program, ProgramError};
 use roomcast_core::pipeline::{Pipeline, PipelineError, PipelineOptions};
 use roomcast_core::scorer::correction::CorrectionChoice;
-use roomcast_core::scorer::{LanguageModel, ModelError};
+use roomcast_core::scorer::{LanguageModel, ModelError, Scorer, familiarity};
 use roomcast_core::semantic_map::{SceneError, SemanticMap};
 use roomcast_core::text::did_you_mean;
 use roomcast_llama::{LlamaModel, LlamaOptions, file_sha256};
@@ -74,13 +74,18 @@ pub enum SetupError {
     },
 }
 
-/// Loads the model file at `path`, or the embedded one.
+/// Loads the model file at `path`, or the embedded one, and judges whether a file's scores are noise.
 ///
 /// # Errors
 /// When it cannot be loaded.
 pub fn load_model(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaModel, SetupError> {
     let model = match path {
-        Some(path) => LlamaModel::load(path, options)?,
+        Some(path) => {
+            let mut scorer = Scorer::new(LlamaModel::load(path, options)?);
+            // Scoring reports a failure in its turn.
+            let weakness = familiarity::weakness(&mut scorer).ok().flatten();
+            scorer.into_model().judged(weakness)
+        }
         None => {
             let file = ModelFile::create().map_err(SetupError::Embedded)?;
             LlamaModel::load(&file.path(), options).map_err(|error| match error {

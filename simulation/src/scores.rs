@@ -160,6 +160,11 @@ impl<M: LanguageModel> ScoreSource<M> {
         self.scorer.info()
     }
 
+    /// The model.
+    pub fn language_model(&self) -> &M {
+        self.scorer.model()
+    }
+
     /// The correction of the scores.
     #[must_use]
     pub fn correction(&self) -> Correction {

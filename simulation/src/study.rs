@@ -163,7 +163,7 @@ impl<'a> Home<'a> {
         let mut forecaster = Forecaster::new(self.cost.rooms(), options, 0.0);
         for (index, done) in track.timeline.done.iter().take(track.timeline.done_by(at_s)).enumerate() {
             forecaster.observe(done.at_s, track.mentions[index], self.grounding, &[]);
-            forecaster.expect_next(self.grounding, &track.labels[index + 1], 0);
+            forecaster.expect_next(self.grounding, &track.labels[index + 1], 1.0, 0);
         }
         forecaster
     }
@@ -521,7 +521,7 @@ pub fn horizons(homes: &[Home<'_>], forecast: ForecastOptions, horizons_s: &[usi
             for (index, done) in track.timeline.done.iter().enumerate() {
                 let scores = normalised(track.scores[index + 1].clone());
                 forecaster.observe(done.at_s, track.mentions[index], home.grounding, &[]);
-                forecaster.expect_next(home.grounding, &track.labels[index + 1], 0);
+                forecaster.expect_next(home.grounding, &track.labels[index + 1], 1.0, 0);
                 let belief = forecaster.belief();
                 let here = (0..rooms).max_by(|a, b| belief[*a].total_cmp(&belief[*b])).unwrap_or(0);
                 let stays = persistence(rooms, here);

@@ -277,7 +277,11 @@ fn model(config: &Config) -> (Finding, Option<LlamaModel>) {
                 about.description,
                 loading.elapsed().as_secs_f64() * 1e3
             );
-            (Finding::good("model", found), Some(model))
+            let finding = match &about.weakness {
+                None => Finding::good("model", found),
+                Some(reason) => Finding::wrong("model", format!("{found}; its scores are noise: {reason}"), remedy),
+            };
+            (finding, Some(model))
         }
         Err(error) => (Finding::wrong("model", chain(&error), remedy), None),
     }

@@ -16,7 +16,7 @@ use roomcast_cli::model::{elsewhere, rehearse};
 pub(super) use roomcast_cli::model::{load, try_configured};
 use roomcast_core::prompt::{BindingSequence, write_prompt};
 use roomcast_core::scorer::correction::{Continuation, Correction};
-use roomcast_core::scorer::{LabelScores, LanguageModel, Method, Scorer, Token, Tokenisation};
+use roomcast_core::scorer::{LabelScores, LanguageModel, Method, Scorer, Token, Tokenisation, familiarity};
 use roomcast_core::text::{read_text_at_most, visible};
 use roomcast_llama::gguf::Header;
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
@@ -223,28 +223,14 @@ struct KnownLabel {
 impl KnownCase {
     /// A case for any model: a morning in a kitchen, with likely and unlikely labels, and labels of several tokens, which are decoded.
     fn unscored() -> Self {
-        let narration =
-            ["They walk to the kitchen.", "They open the fridge.", "They grab the milk.", "They close the fridge."];
-        let labels = [
-            "bed",
-            "coffee maker",
-            "cup",
-            "fridge",
-            "garden hose",
-            "grandfather clock",
-            "kitchen",
-            "living room",
-            "sofa",
-            "table",
-            "toothbrush",
-            "washing machine",
-        ];
         Self {
             model_sha256: String::new(),
-            narration: narration.map(str::to_owned).into(),
+            narration: familiarity::CHECK_NARRATION.map(str::to_owned).into(),
             binding: "default".into(),
             tolerance_nats: 0.05,
-            labels: labels.map(|label| KnownLabel { label: label.into(), log_prob_nats: 0.0 }).into(),
+            labels: familiarity::CHECK_LABELS
+                .map(|label| KnownLabel { label: label.into(), log_prob_nats: 0.0 })
+                .into(),
         }
     }
 
@@ -306,13 +292,14 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
     write_prompt(case.narration.iter().map(String::as_str), &binding, false, &mut prompt);
     // Equation 1, for the known scores, and the file's recommended correction.
     let mut scores = Vec::new();
-    let mut worst: f64 = 0.0;
+    let (mut worst, mut needed) = (0.0_f64, 0.0);
     let recommended = Some(about.correction).filter(|&recommended| recommended != Correction::default());
     for correction in std::iter::once(Correction::default()).chain(recommended) {
         let prepared = scorer.prepare(&labels, &binding, Tokenisation::Joint, correction);
         let prepared = prepared.map_err(|error| model_failure(&error))?;
         if scores.is_empty() {
             checked.push(tokenises(&scorer, &labels, prepared.tokens()));
+            needed = familiarity::check_mass_min(prepared.tokens(), about.vocabulary);
         }
         let first = scores.len();
         for method in [Method::Trie, Method::SharedPrefix, Method::Independent] {
@@ -337,7 +324,7 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
         ok: scores.iter().flatten().all(|score| score.is_finite() && *score <= 1e-6) && mass <= 1.0 + 1e-6,
         found: format!("{} labels, together {:.1} %", labels.len(), 100.0 * mass),
     });
-    checked.push(expects(mass));
+    checked.push(expects(mass, needed));
     checked.push(Checked {
         check: "methods agree",
         ok: worst <= METHODS_TOLERANCE_NATS_PER_TOKEN,
@@ -400,12 +387,10 @@ fn tokenises(scorer: &Scorer<LlamaModel>, labels: &[String], tokens: &[Vec<Token
 }
 
 /// Checks whether the model expects such labels, by their total probability.
-fn expects(mass: f64) -> Checked {
-    /// Twelve common things of a home. Below this, scores are noise.
-    const MASS_MIN: f64 = 1e-3;
-    let ok = mass >= MASS_MIN;
+fn expects(mass: f64, needed: f64) -> Checked {
+    let ok = mass >= needed;
     let remedy = if ok { "" } else { ": it does not know how such a sentence goes on; take another model" };
-    Checked { check: "labels are expected", ok, found: format!("{mass:.1e} in all, {MASS_MIN:.0e} needed{remedy}") }
+    Checked { check: "labels are expected", ok, found: format!("{mass:.1e} in all, {needed:.0e} needed{remedy}") }
 }
 
 /// Whether the file is the embedded model with a few bytes changed: damage that scores may not show. `None` for another model.
@@ -543,7 +528,7 @@ mod tests {
 
     #[test]
     fn a_model_that_expects_no_label_fails_its_check() {
-        assert!(expects(0.2).ok && !expects(1e-9).ok && !expects(0.0).ok);
+        assert!(expects(0.2, 1e-2).ok && !expects(1e-9, 1e-3).ok && !expects(0.0, 1e-3).ok);
     }
 
     #[test]

@@ -227,9 +227,28 @@ pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap
         "items": items,
         "partitions": partitions,
         "label_mass": grounded.label_mass,
+        "trust": scores.trust,
+        "flags": warning(pipeline).map(|(flag, _)| flag).into_iter().collect::<Vec<_>>(),
         "decoded": {"calls": scores.stats.calls, "prompt_tokens": scores.stats.prompt_tokens_decoded, "tree_tokens": scores.stats.tree_tokens_decoded},
         "timing_ns": scores.timing,
     })
+}
+
+/// A flag of the scores, and what it means.
+fn warning<M: LanguageModel>(pipeline: &Pipeline<M>) -> Option<(&'static str, String)> {
+    match (&pipeline.inside().model().weakness, pipeline.scores().trust) {
+        (Some(reason), _) => {
+            Some(("model-weak", format!("MODEL_WEAK: these scores are noise. The model is weak: {reason}.")))
+        }
+        (None, trust) if trust < 1.0 => Some((
+            "unfamiliar",
+            format!(
+                "UNFAMILIAR: the model does not know these words of the narration or of the map, so its scores say little. In a forecast they weigh {:.0} %.",
+                100.0 * trust
+            ),
+        )),
+        _ => None,
+    }
 }
 
 fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usize) -> String {
@@ -251,7 +270,8 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
             behind.join(", "),
         ]);
     }
-    let mut text = format!("{table}\n\n");
+    let warning = warning(pipeline).map(|(_, warning)| prose(&warning) + "\n\n").unwrap_or_default();
+    let mut text = format!("{warning}{table}\n\n");
     let mut table = super::table(&["label", "probability", "ln probability", "items", "tokens"]);
     let mut order: Vec<usize> = (0..grounding.scored_labels().len()).collect();
     order.sort_by(|&a, &b| scores.label_log_prob_nats[b].total_cmp(&scores.label_log_prob_nats[a]));

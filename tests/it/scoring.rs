@@ -16,8 +16,9 @@ use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::prompt::{BindingSequence, write_prompt};
 use roomcast_core::scorer::certified::Effort;
 use roomcast_core::scorer::correction::{Continuation, Correction};
-use roomcast_core::scorer::{LabelScores, Method, Scorer, Tokenisation};
+use roomcast_core::scorer::{LabelScores, LanguageModel, Method, Scorer, Tokenisation};
 use roomcast_core::semantic_map::{SemanticMap, import};
+use roomcast_ipc::raw::{forecast_flags, person_flags, score_flags};
 use roomcast_llama::gguf::Header;
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast_services::daemon::{Board, Entry};
@@ -480,7 +481,11 @@ fn partial_answers_are_true_in(map: &SemanticMap, weights: Weights) -> usize {
             let truth = exact.step([observation(sequence, &sentence)]).unwrap();
             exact_scores.clone_from(&truth.grounded.partition_log_score_nats);
             while exact.ahead().tidy() {}
-            let scores = partial.step([observation(sequence, &sentence)]).unwrap();
+            // A slow machine keeps the last scores for a step.
+            if partial.step([observation(sequence, &sentence)]).unwrap().is_cut {
+                partial.score().unwrap();
+            }
+            let scores = partial.scores();
             early += usize::from(scores.reached != Effort::Exact);
             for (r, &exact) in exact_scores.iter().enumerate() {
                 let (lower, upper) = (scores.lower_log_score_nats[r], scores.upper_log_score_nats[r]);
@@ -628,4 +633,120 @@ fn prepared_answers_of_the_shipped_model_are_those_computed_afterwards() {
 #[ignore = "full"]
 fn prepared_answers_in_single_precision_are_the_same_to_the_last_digits() {
     prepared_answers_are_those_computed_afterwards(Weights::SinglePrecision);
+}
+
+/// The sets of `training/unfamiliar.txt`, each with its sentences.
+fn unfamiliar() -> impl Iterator<Item = (&'static str, Vec<&'static str>)> {
+    let sets = include_str!("../../training/unfamiliar.txt").split("\n[").skip(1);
+    sets.filter_map(|set| set.split_once("]\n"))
+        .map(|(name, text)| (name, text.lines().filter(|l| !l.is_empty()).collect()))
+}
+
+/// Nothing is fitted on these texts.
+#[test]
+fn other_languages_code_and_nonsense_are_flagged_and_plain_sentences_are_not() {
+    let mut pipeline = Pipeline::of(&studio(), model(64)).unwrap();
+    let mut sets = 0;
+    for (name, sentences) in unfamiliar() {
+        let mut trust = |sentence: &&str| {
+            pipeline.intake().forget_person(PersonId(0));
+            pipeline.step([observation(1, sentence)]).unwrap().trust
+        };
+        let trusts: Vec<f64> = sentences.iter().map(&mut trust).collect();
+        match name {
+            "known: other wordings" => assert!(trusts.iter().all(|trust| *trust == 1.0), "{name}: {trusts:?}"),
+            // Sentences of known words with one unknown thing.
+            "unknown words" => assert!(trusts.iter().any(|trust| *trust < 1.0), "{name}: {trusts:?}"),
+            _ => assert!(trusts.iter().all(|trust| *trust < 1.0), "{name}: {trusts:?}"),
+        }
+        sets += 1;
+    }
+    assert_eq!(sets, 15);
+}
+
+fn studio() -> SemanticMap {
+    SemanticMap::from_json(embedded::SCENES[0].text).unwrap()
+}
+
+#[test]
+fn a_map_of_unknown_words_is_flagged_whatever_is_narrated() {
+    let mut map: serde_json::Value = serde_json::from_str(embedded::SCENES[0].text).unwrap();
+    for item in map["items"].as_array_mut().unwrap() {
+        let backwards: String = item["label"].as_str().unwrap().chars().rev().collect();
+        item["label"] = backwards.into();
+    }
+    let map = SemanticMap::from_json(&map.to_string()).unwrap();
+    let mut pipeline = Pipeline::of(&map, model(64)).unwrap();
+    assert!(pipeline.step([observation(1, "They open the fridge.")]).unwrap().trust < 1.0);
+}
+
+fn studio_board(model: LlamaModel) -> Board<LlamaModel> {
+    let (map, options) = (studio(), GroundingOptions::default());
+    let grounding = Grounding::new(&map, &options).unwrap();
+    let options_of = PipelineOptions { history: HistoryLimits::default(), ..PipelineOptions::default() };
+    Board::new(Pipeline::new(model, grounding, options_of).unwrap(), map, options, 1).unwrap()
+}
+
+/// Narrates a second later each, and returns the flags of scores, forecast and person, and the probability of each room a minute after the last one.
+fn narrated(board: &mut Board<LlamaModel>, from_s: u64, sentences: &[&str]) -> ([u32; 3], Vec<f64>) {
+    let mut now_ns = BootNs(0);
+    for (sequence, sentence) in (from_s..).zip(sentences) {
+        now_ns = BootNs(sequence * 1_000_000_000);
+        let observation = Observation { observed_ns: now_ns, ..observation(sequence, sentence) };
+        board.step([Entry::new(observation, now_ns)], now_ns, UnixNs(now_ns.0)).unwrap();
+    }
+    let person = board.person_scores(now_ns).persons()[0].flags;
+    let forecast = board.forecast(now_ns);
+    let minute = forecast.horizons_s().iter().position(|horizon_s| *horizon_s == 60.0).unwrap();
+    let rooms = forecast.rooms().map(|(_, row)| f64::from(row[minute])).collect();
+    ([board.snapshot().flags, board.forecast(now_ns).flags, person], rooms)
+}
+
+#[test]
+fn a_forecast_after_a_sentence_in_another_language_stays_in_the_known_room_and_says_so() {
+    let mut board = studio_board(model(64));
+    narrated(&mut board, 1, &["They open the fridge."]);
+    let (flags, known) = narrated(&mut board, 2, &["They close the fridge."]);
+    assert_eq!(flags, [0; 3]);
+    let german = ["Sie gehen ins Wohnzimmer.", "Sie schalten den Fernseher ein.", "Sie nehmen ein Buch aus dem Regal."];
+    let (flags, unfamiliar) = narrated(&mut board, 3, &german);
+    assert_eq!(flags, [score_flags::UNFAMILIAR, forecast_flags::UNFAMILIAR, person_flags::UNFAMILIAR]);
+    let likeliest = |rooms: &[f64]| (0..rooms.len()).max_by(|a, b| rooms[*a].total_cmp(&rooms[*b])).unwrap();
+    assert_eq!(likeliest(&unfamiliar), likeliest(&known), "{known:?} {unfamiliar:?}");
+    // Known words around it make up for it.
+    let english =
+        ["They open the cupboard.", "They take a cup.", "They walk to the table.", "They sit down on the chair."];
+    let (flags, _) = narrated(&mut board, 6, &[english, english].concat());
+    assert_eq!(flags, [0; 3]);
+}
+
+/// The included model with the rows of all its matrices in reverse order: random weights of the right sizes.
+fn reversed(model: &[u8]) -> Vec<u8> {
+    let header = Header::read(&embedded::ModelFile::create().unwrap().path()).unwrap();
+    let mut reversed = model.to_vec();
+    for tensor in header.tensors.iter().filter(|tensor| tensor.shape.len() > 1) {
+        let (start, size) = (tensor.start as usize, tensor.size_bytes as usize);
+        let row_bytes = size / tensor.shape[1..].iter().product::<u64>() as usize;
+        let rows = model[start..start + size].chunks_exact(row_bytes).rev();
+        reversed[start..start + size].copy_from_slice(&rows.flatten().copied().collect::<Vec<_>>());
+    }
+    reversed
+}
+
+#[test]
+fn scores_of_a_model_with_random_weights_are_flagged_and_no_part_of_a_forecast() {
+    let load = |bytes: &[u8]| {
+        let file = tempfile::Builder::new().suffix(".gguf").tempfile().unwrap();
+        std::fs::write(file.path(), bytes).unwrap();
+        load_model(Some(file.path()), &options(64)).unwrap()
+    };
+    assert_eq!(load(embedded::MODEL).info().weakness, None);
+    let random = load(&reversed(embedded::MODEL));
+    let reason = random.info().weakness.clone().unwrap();
+    assert!(reason.contains("twelve common things"), "{reason}");
+    let mut board = studio_board(random);
+    let (flags, rooms) = narrated(&mut board, 1, &["They open the fridge.", "They close the fridge."]);
+    assert_eq!(flags, [score_flags::MODEL_WEAK, forecast_flags::MODEL_WEAK, person_flags::UNFAMILIAR]);
+    let kitchen = board.snapshot().rooms().iter().position(|room| room.id() == "kitchen").unwrap();
+    assert!(rooms.iter().all(|p| *p <= rooms[kitchen]), "{rooms:?}");
 }

@@ -316,6 +316,7 @@ impl Counts {
     }
 
     /// Every context, sorted by key, with its last minute and its counts as of that minute.
+    #[expect(clippy::type_complexity, reason = "one caller writes it to rows of the state database")]
     pub(crate) fn rows(&self) -> Vec<(u64, u32, Vec<(u16, f32)>)> {
         let live = self.keys.iter().zip(&self.rows).filter(|(key, _)| **key != FREE);
         let mut rows: Vec<_> =

@@ -158,7 +158,8 @@ impl StoredRow {
         self.counts.sort_by_key(|(symbol, _)| *symbol);
         let is_once = self.counts.windows(2).all(|pair| pair[0].0 < pair[1].0);
         let total: f64 = self.counts.iter().map(|(_, count)| f64::from(*count)).sum();
-        if !is_once || !(total <= MOST && self.counts.iter().all(|(_, count)| *count > 0.0)) {
+        let is_sound = is_once && total <= MOST && self.counts.iter().all(|(_, count)| *count > 0.0);
+        if !is_sound {
             return Err(malformed(format!("counts of kind {} are no counts, come twice, or are too large", self.kind)));
         }
         Ok(())

@@ -30,11 +30,12 @@ impl<M: LanguageModel> Ahead<'_, M> {
     }
 
     /// The room probabilities after one sentence alone, without any person's window; of an empty text, after none. Scores, windows and explanations
-    /// are unchanged. The model has to read the narration of the last scored person again, which idle time does.
+    /// are unchanged. The second value is their weight ([`super::PersonScores::trust`]). The model has to read the narration of the last scored person
+    /// again, which idle time does.
     ///
     /// # Errors
     /// If the model fails.
-    pub fn rooms_of(&mut self, text: &str) -> Result<Vec<f64>, PipelineError> {
+    pub fn rooms_of(&mut self, text: &str) -> Result<(Vec<f64>, f64), PipelineError> {
         let own = &mut *self.0;
         let trailing_space = own.options.tokenisation == Tokenisation::Paper;
         let mut prompt = String::new();
@@ -47,7 +48,7 @@ impl<M: LanguageModel> Ahead<'_, M> {
         own.is_unread = true;
         scored?;
         own.grounding.ground(&scores.log_prob_nats, &mut grounded)?;
-        Ok(grounded.partition_probability)
+        Ok((grounded.partition_probability, scores.trust))
     }
 
     /// Stores a prefetched answer, and returns whether it is useful. It is useless if its person has acted since, the labels have changed, or the

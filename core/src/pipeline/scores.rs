@@ -66,6 +66,8 @@ pub struct Scores {
     pub upper_log_score_nats: Vec<f64>,
     /// The model takes longer for a prompt than [`super::PipelineOptions::deadline_ns`]: this step kept the last scores, without the waiting events.
     pub is_cut: bool,
+    /// The least weight of a person's scores ([`PersonScores::trust`]) among the persons at home.
+    pub trust: f64,
     /// Tokens of the prompts scored in this step.
     pub prompt_tokens: usize,
     /// Prompts scored in this step.
@@ -95,6 +97,8 @@ pub struct PersonScores<'a> {
     pub label_log_prob_nats: &'a [f64],
     /// Scores per partition.
     pub grounded: &'a GroundedScores,
+    /// The weight of the scores in a forecast, 0 to 1. Below 1 the model does not know the words ([`crate::scorer::familiarity`]).
+    pub trust: f64,
     /// How exact the scores are.
     pub reached: Effort,
     /// Certified lower bound of `ln S_j` per partition in nats; equal to the score if exact.
@@ -113,6 +117,7 @@ impl<'a> PersonScores<'a> {
             number: person.number,
             label_log_prob_nats: &person.scores.log_prob_nats,
             grounded: &person.grounded,
+            trust: person.scores.trust,
             reached: person.reached(),
             lower_log_score_nats: &person.lower_log_score_nats,
             upper_log_score_nats: &person.upper_log_score_nats,
@@ -126,6 +131,7 @@ pub(super) fn together(persons: &[Person], scores: &mut Scores) {
     let at_home = || scored().filter(|person| person.at_home);
     let count = at_home().count();
     let Some(first) = at_home().next().or(scored().next()) else { return };
+    scores.trust = at_home().map(|person| person.scores.trust).fold(1.0, f64::min);
     if count <= 1 {
         scores.label_log_prob_nats.clone_from(&first.scores.log_prob_nats);
         scores.grounded.copy_from(&first.grounded);

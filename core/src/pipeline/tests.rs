@@ -719,6 +719,7 @@ proptest! {
                 number: 0,
                 label_log_prob_nats,
                 grounded,
+                trust: own.scores().trust,
                 reached: *reached,
                 lower_log_score_nats,
                 upper_log_score_nats,

@@ -11,6 +11,7 @@ use std::sync::Arc;
 use self::certified::{Certified, Effort};
 use self::correction::{Continuation, Correction};
 use self::cutter::Cutter;
+use self::familiarity::Familiarity;
 pub use crate::label_trie::Token;
 use crate::label_trie::{END, LabelTrie, Node, PROMPT, TokenTree};
 use crate::prompt::{BindingSequence, write_prompt};
@@ -18,6 +19,7 @@ use crate::prompt::{BindingSequence, write_prompt};
 pub mod certified;
 pub mod correction;
 pub mod cutter;
+pub mod familiarity;
 pub mod softmax;
 pub mod table;
 
@@ -42,6 +44,8 @@ pub struct ModelInfo {
     pub shares_prefix: bool,
     /// The correction of scores that the model file recommends.
     pub correction: Correction,
+    /// Why its scores are noise ([`familiarity::weakness`]); `None` for a usable model, and for one that was not checked.
+    pub weakness: Option<String>,
     /// SHA-256 of the model file; zeros if there is none.
     #[serde(serialize_with = "hex::serialize")]
     pub fingerprint: [u8; 32],
@@ -339,6 +343,7 @@ pub struct PreparedLabels {
     binding: BindingSequence,
     tokenisation: Tokenisation,
     correction: Correction,
+    familiarity: Familiarity,
     /// `ln g_c` per label, in nats.
     gain_nats: Vec<f64>,
 }
@@ -407,6 +412,8 @@ pub struct LabelScores {
     pub log_prob_nats: Vec<f64>,
     /// Tokens of the prompt.
     pub prompt_tokens: usize,
+    /// The weight of these scores in a forecast, 0 to 1. Below 1 the model does not know the words ([`familiarity`]); 0 for a weak model.
+    pub trust: f64,
     /// `ln k` of the prior in nats. It and the label's gain were added to the sum over the label's tokens.
     pub scale_nats: f64,
     /// Cost of decoding.
@@ -459,6 +466,11 @@ impl<M: LanguageModel> Scorer<M> {
     /// The model.
     pub fn model(&self) -> &M {
         &self.model
+    }
+
+    /// The model, without the scorer.
+    pub fn into_model(self) -> M {
+        self.model
     }
 
     /// Registers `moved`, which the model calls after each call of the decoder.
@@ -537,6 +549,8 @@ impl<M: LanguageModel> Scorer<M> {
         if let Some(index) = tokens.iter().zip(labels).position(|(t, l)| t.is_empty() || l.as_ref().trim().is_empty()) {
             return Err(ScoreError::EmptyLabel { index, label: labels[index].as_ref().to_owned() });
         }
+        let of_binding = if tokenisation == Tokenisation::Paper { binding.text() } else { binding.stem() };
+        let familiarity = Familiarity::of(&self.model, (labels, tokens.as_slice()), of_binding)?;
         let trie = match correction.continuation {
             Continuation::Free => LabelTrie::new(&tokens),
             Continuation::Labels => LabelTrie::distinct_prefixes(&tokens),
@@ -563,6 +577,7 @@ impl<M: LanguageModel> Scorer<M> {
             binding: binding.clone(),
             tokenisation,
             correction,
+            familiarity,
         })
     }
 
@@ -670,6 +685,8 @@ impl<M: LanguageModel> Scorer<M> {
     ) -> Result<(), ScoreError> {
         self.cut_prompt(prompt)?;
         out.prompt_tokens = self.prompt.len();
+        let is_weak = self.model.info().weakness.is_some();
+        out.trust = if is_weak { 0.0 } else { prepared.familiarity.trust(out.prompt_tokens, prompt.len()) };
         self.kept_tokens = self.cutter.narration_tokens().unwrap_or(out.prompt_tokens);
         self.prompt.truncate(self.prompt.len().saturating_sub(prepared.replaced));
         if self.prompt.is_empty() {

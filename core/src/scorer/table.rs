@@ -47,6 +47,7 @@ impl TableModel {
                 context_tokens: 1 << 20,
                 shares_prefix: true,
                 correction: Correction::default(),
+                weakness: None,
                 fingerprint: {
                     let mut fingerprint = [0; 32];
                     fingerprint[..8].copy_from_slice(&seed.to_le_bytes());

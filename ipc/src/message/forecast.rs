@@ -16,6 +16,10 @@ pub mod forecast_flags {
     pub const NOBODY_HOME: u32 = 1 << 2;
     /// A resident was not observed: the probabilities lack this resident, who may be in any room.
     pub const RESIDENT_UNKNOWN: u32 = 1 << 3;
+    /// The scores have the flag of this name: belief, stays and habits take the place of the model for the persons concerned.
+    pub const UNFAMILIAR: u32 = 1 << 4;
+    /// The scores have the flag of this name: the forecast rests on belief, stays and habits alone.
+    pub const MODEL_WEAK: u32 = 1 << 5;
 }
 
 layout! {

@@ -16,6 +16,8 @@ pub mod person_flags {
     pub const BY_FIT: u32 = 1 << 2;
     /// Not of the household: forgotten after a silence.
     pub const VISITOR: u32 = 1 << 3;
+    /// The model does not know the words of the person's narration or of the map's labels.
+    pub const UNFAMILIAR: u32 = 1 << 4;
 }
 
 /// Values of [`PersonV1::presence`]; [`Presence`](crate::Presence) is their meaning.

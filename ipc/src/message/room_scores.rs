@@ -42,6 +42,11 @@ pub mod score_flags {
     pub const NOBODY_HOME: u32 = 1 << 6;
     /// All that the model was asked for these scores it had answered before the narration came: `timing_ns` has no decoder in it.
     pub const PREPARED: u32 = 1 << 7;
+    /// The model does not know the words of a person's narration or of the map's labels: the scores say little, and weigh less in the
+    /// forecast.
+    pub const UNFAMILIAR: u32 = 1 << 8;
+    /// The model fails the check of its first scores: all scores are noise, and forecasts leave them out. The daemon's log has the reason.
+    pub const MODEL_WEAK: u32 = 1 << 9;
 }
 
 layout! {

@@ -11,6 +11,7 @@ use roomcast_simulation::{ScoresError, StudyError};
 
 pub mod baselines;
 pub mod chart;
+pub mod familiarity;
 pub mod guesses;
 pub mod habits;
 pub mod losses;

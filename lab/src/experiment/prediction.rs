@@ -205,17 +205,17 @@ pub(crate) fn plain_title(title: &str) -> String {
 }
 
 #[derive(Debug, Default)]
-struct LeftOut {
+pub(super) struct LeftOut {
     unbound: BTreeMap<String, usize>,
     same_label: usize,
 }
 
-struct Case {
+pub(super) struct Case {
     /// The number of completed actions.
-    done: usize,
-    object: usize,
-    room: Option<usize>,
-    here: Option<usize>,
+    pub(super) done: usize,
+    pub(super) object: usize,
+    pub(super) room: Option<usize>,
+    pub(super) here: Option<usize>,
     /// The last three objects, the latest last.
     context: [Option<String>; 3],
     /// The labels used so far, the latest last, and the label in hand, if the map has it. That one is not next.
@@ -223,7 +223,12 @@ struct Case {
     in_hand: Option<usize>,
 }
 
-fn cases(program: &Program, binder: &mut Binder<'_>, grounding: &Grounding, left_out: &mut LeftOut) -> Vec<Case> {
+pub(super) fn cases(
+    program: &Program,
+    binder: &mut Binder<'_>,
+    grounding: &Grounding,
+    left_out: &mut LeftOut,
+) -> Vec<Case> {
     let steps = &program.steps;
     let words: Vec<Option<String>> = steps.iter().map(|step| step.objects().first().map(|o| o.words())).collect();
     let mut cases = Vec::new();
@@ -318,7 +323,7 @@ impl Listener {
         for at in self.heard..done {
             self.at_s += program.steps[at].entry().duration_s;
             self.forecaster.observe(self.at_s, mentions.last(said[at].as_str()), grounding, &[]);
-            self.forecaster.expect_next(grounding, &rows[at + 1], 0);
+            self.forecaster.expect_next(grounding, &rows[at + 1], 1.0, 0);
         }
         self.heard = done;
     }

@@ -413,7 +413,7 @@ impl<M: LanguageModel> Board<M> {
             let Some(known) = self.attribution.persons.get(person) else { continue };
             let expected = self.belief.followed.get(&person).and_then(Forecaster::expected);
             let rooms = expected.unwrap_or(&own.grounded.partition_probability);
-            self.home.look_ahead(person, known.heard_ns, own.label_log_prob_nats, rooms);
+            self.home.look_ahead(person, known.heard_ns, (own.label_log_prob_nats, own.trust), rooms);
         }
     }
 
@@ -532,7 +532,8 @@ impl<M: LanguageModel> Board<M> {
             .filter(|person| !pipeline.inside().waits(**person))
             .for_each(|person| self.home.rescored(*person));
         let (received_ns, after_gap) = self.scoring.take_scored();
-        self.publication.number((now_ns, now_unix_ns), received_ns, after_gap);
+        let is_cut = self.scoring.pipeline.scores().is_cut;
+        self.publication.number((now_ns, now_unix_ns), received_ns, (after_gap, is_cut));
         self.count();
         self.publication.fill(&self.scoring.pipeline, &mut self.attribution.persons);
         Ok(received_ns)

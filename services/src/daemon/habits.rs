@@ -473,15 +473,22 @@ impl HomeHabits {
         self.rescored.pop()
     }
 
-    /// Takes the model's forecast after the event at `at_ns`: log-probabilities of labels in nats, and probabilities of rooms.
-    pub(super) fn look_ahead(&mut self, person: PersonId, at_ns: i64, labels_nats: &[f64], rooms: &[f64]) {
+    /// Takes the model's forecast after the event at `at_ns`: log-probabilities of labels in nats with their weight, and probabilities of rooms. Without
+    /// weight all labels are equally likely.
+    pub(super) fn look_ahead(
+        &mut self,
+        person: PersonId,
+        at_ns: i64,
+        (labels_nats, trust): (&[f64], f64),
+        rooms: &[f64],
+    ) {
         let fits = labels_nats.len() == self.labels && rooms.len() + 1 == self.memory.habits.places();
         // Visitors have no habits.
         let is_known = self.memory.habits.persons().any(|(known, _)| known == person);
         let Some(at_s) = self.local_s(at_ns).filter(|_| fits && is_known) else { return };
         let most_nats = labels_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         self.model.clear();
-        self.model.extend(labels_nats.iter().map(|nats| (nats - most_nats).exp()));
+        self.model.extend(labels_nats.iter().map(|nats| (nats - most_nats).exp().powf(trust)));
         self.memory.habits.mix(person, at_s, &self.model);
         self.memory.habits.next_rooms(person, at_s, rooms);
         self.state += 1;

@@ -261,6 +261,13 @@ fn load<M: LanguageModel + Send + 'static>(
     let kept_map = state.as_ref().map(|directory| KeptMap::new(directory, &configured));
     let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);
     let pipeline = set_up(|| setup::open_with(config, &map, model))??;
+    if let Some(reason) = &pipeline.inside().model().weakness {
+        tracing::warn!(
+            reason,
+            "the scores of this model are noise: forecasts leave them out, and all messages have the flag MODEL_WEAK. Use another model; `roomcast model check \
+             FILE` tests one"
+        );
+    }
     let token_counter = pipeline.inside().token_counter();
     // If the configuration names only relayed narrators, local ones are not unknown narrators.
     let guards = config.daemon.narrator.iter().any(|known| !known.relayed);

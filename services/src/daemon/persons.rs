@@ -574,6 +574,7 @@ pub fn flag_words(flags: u32) -> impl Iterator<Item = &'static str> {
         (person_flags::ASLEEP, "asleep"),
         (person_flags::BY_FIT, "by-fit"),
         (person_flags::VISITOR, "visitor"),
+        (person_flags::UNFAMILIAR, "unfamiliar"),
     ];
     words.into_iter().filter(move |(flag, _)| flags & flag != 0).map(|(_, word)| word)
 }

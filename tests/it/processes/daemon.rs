@@ -293,3 +293,36 @@ fn a_stopped_daemon_makes_the_planner_stay() {
     world.signal(daemon, Signal::CONT);
     assert_eq!(flagged(false).action, action::GO);
 }
+
+/// The model file ends with a hole of 64 GiB, so that its checksum takes a minute. Another process tries the file first, unless its checksum is pinned.
+#[test]
+fn a_stop_while_the_model_loads_ends_the_daemon_and_the_trial_at_once() {
+    let mut world = World::new("loading");
+    let model = world.path("slow.gguf");
+    std::fs::write(&model, roomcast_services::embedded::MODEL).unwrap();
+    std::fs::OpenOptions::new().write(true).open(&model).unwrap().set_len(64 << 30).unwrap();
+    let config = world.path("roomcast.toml");
+    for pin in ["".to_owned(), format!("sha256 = \"{}\"\n", "0".repeat(64))] {
+        std::fs::write(&config, format!("[model]\npath = {model:?}\n{pin}")).unwrap();
+        let daemon = world.start(&["daemon", "--config", config.to_str().unwrap()]);
+        let process = world.children[daemon].child.id();
+        let of_daemon = format!("/proc/{process}/task/{process}/children");
+        let reader = if pin.is_empty() {
+            let child = || std::fs::read_to_string(&of_daemon).ok()?.trim().parse::<u32>().ok();
+            eventually("the trial", child)
+        } else {
+            process
+        };
+        let opened = |reader: u32| std::fs::read_dir(format!("/proc/{reader}/fd")).ok();
+        let reads = || {
+            let mut files = opened(reader)?.flatten().filter_map(|file| std::fs::read_link(file.path()).ok());
+            files.find(|file| *file == model)
+        };
+        eventually("the file is read", reads);
+        let stopped = Instant::now();
+        world.signal(daemon, Signal::TERM);
+        let (status, log) = world.wait(daemon);
+        assert!(status.success() && stopped.elapsed() < Duration::from_secs(20), "{status} {log}");
+        eventually("the trial ends", || opened(reader).is_none().then_some(()));
+    }
+}

@@ -74,6 +74,10 @@ class ScoreFlags(enum.IntFlag):
     #: All known persons and residents are away: no room is likely, and their scores are `-inf`.
     NOBODY_HOME = 64
     PREPARED = 128
+    #: The model does not know the words of a narration or of the map's labels: the scores say little.
+    UNFAMILIAR = 256
+    #: The model fails the check of its first scores: all scores are noise.
+    MODEL_WEAK = 512
 
 
 class Presence(Word):
@@ -99,6 +103,8 @@ class PersonFlags(enum.IntFlag):
     BY_FIT = 4
     #: Not a member of the household: forgotten after a silence.
     VISITOR = 8
+    #: The model does not know the words of the person's narration or of the map's labels.
+    UNFAMILIAR = 16
 
 
 class ForecastFlags(enum.IntFlag):
@@ -112,6 +118,10 @@ class ForecastFlags(enum.IntFlag):
     NOBODY_HOME = 4
     #: A resident was never observed: the probabilities do not include them, and they may be in any room.
     RESIDENT_UNKNOWN = 8
+    #: The scores have this flag: belief, stays and habits take the place of the model.
+    UNFAMILIAR = 16
+    #: The scores have this flag: the forecast rests on belief, stays and habits alone.
+    MODEL_WEAK = 32
 
 
 class Action(Word):

@@ -211,7 +211,7 @@ impl<'a> Watch<'a> {
         let mut labels: Vec<f64> = scores.iter().map(|score| (score - greatest).exp()).collect();
         let total: f64 = labels.iter().sum();
         labels.iter_mut().for_each(|p| *p /= total);
-        self.forecaster.expect_next(self.grounding, scores, 0);
+        self.forecaster.expect_next(self.grounding, scores, 1.0, 0);
         // The room of the next thing in the forecast without habits.
         let expected = self.forecaster.expected().map_or(rooms, <[f64]>::to_vec);
         let forecasts = self.forecasts(step.at_s, labels, expected);

@@ -165,7 +165,7 @@ impl Belief {
     pub(super) fn expect<M: LanguageModel>(&mut self, pipeline: &Pipeline<M>) {
         for own in pipeline.persons().filter(|own| own.at_home && own.is_current) {
             if let Some(followed) = self.followed.get_mut(&own.person) {
-                followed.expect_next(pipeline.grounding(), own.label_log_prob_nats, own.number);
+                followed.expect_next(pipeline.grounding(), own.label_log_prob_nats, own.trust, own.number);
             }
         }
         self.seen.shrink_to(SEEN_KEPT);

@@ -14,7 +14,7 @@ use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::raw::{
     ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, LEARNED_SHARE_S, MAX_HORIZONS, MAX_ITEMS,
     MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, NO_PARTITION, PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1,
-    RoomScoresV1, RoomV1, forecast_flags, reached, score_flags,
+    RoomScoresV1, RoomV1, forecast_flags, person_flags, reached, score_flags,
 };
 use roomcast_ipc::text;
 
@@ -81,11 +81,13 @@ impl Publication {
         &mut self,
         (now_ns, now_unix_ns): (BootNs, UnixNs),
         received_ns: Option<BootNs>,
-        after_gap: bool,
+        (after_gap, is_cut): (bool, bool),
     ) {
         let snapshot = &mut self.snapshot;
         snapshot.sequence += 1;
-        (snapshot.computed_ns, snapshot.computed_unix_ns) = (now_ns.0, now_unix_ns.0);
+        if !is_cut {
+            (snapshot.computed_ns, snapshot.computed_unix_ns) = (now_ns.0, now_unix_ns.0);
+        }
         snapshot.received_ns = received_ns.map_or(snapshot.received_ns, |received_ns| received_ns.0);
         snapshot.wait_ns = received_ns.map_or(0, |received_ns| now_ns.since(received_ns));
         snapshot.flags = if after_gap { score_flags::GAP } else { 0 };
@@ -131,6 +133,12 @@ impl Publication {
         }
         if !not_known && known_persons.misses_residents() {
             message.flags |= forecast_flags::RESIDENT_UNKNOWN;
+        }
+        for (of_scores, flag) in [
+            (score_flags::UNFAMILIAR, forecast_flags::UNFAMILIAR),
+            (score_flags::MODEL_WEAK, forecast_flags::MODEL_WEAK),
+        ] {
+            message.flags |= if self.snapshot.has(of_scores) { flag } else { 0 };
         }
         for (id, room) in message.id.iter_mut().zip(rooms) {
             *id = room.id;
@@ -180,11 +188,13 @@ impl Publication {
         (message.persons, message.person_count) = (scores.persons, scores.person_count);
         let (rooms, now_s) = (scores.room_count as usize, now_ns.seconds());
         let mut places = message.person.iter_mut();
-        for (person, place) in scores.persons().iter().map(|scores| PersonId(scores.person)).zip(&mut places) {
+        for (scores, place) in scores.persons().iter().zip(&mut places) {
+            let person = PersonId(scores.person);
             let name = known_persons.name_bytes(person);
             *place = PersonForecastV1 { person: person.0, name, ..PersonForecastV1::default() };
             let presence = known_persons.get(person).map_or(Presence::Gone, |known| known.presence);
-            (place.presence, place.flags) = (presence_value(presence), known_persons.flags(person, signed_ns));
+            place.presence = presence_value(presence);
+            place.flags = known_persons.flags(person, signed_ns) | scores.flags & person_flags::UNFAMILIAR;
             let own = followed.get(&person);
             let rows = own.and_then(|own| home.forecast(person, own, now_ns, &HORIZONS_S));
             let by_habit = rows.is_some();
@@ -236,7 +246,7 @@ impl Publication {
         let now_ns = i64::try_from(now_ns.0).unwrap_or(i64::MAX);
         for person in message.person.iter_mut().take(message.person_count as usize) {
             let id = PersonId(person.person);
-            person.flags = known_persons.flags(id, now_ns);
+            person.flags = known_persons.flags(id, now_ns) | person.flags & person_flags::UNFAMILIAR;
             person.name = known_persons.name_bytes(id);
         }
         message
@@ -308,6 +318,11 @@ impl Publication {
         snapshot.window = pipeline.persons().map(|own| own.window as u64).sum();
         snapshot.flags |= if known_persons.nobody_is_home() { score_flags::NOBODY_HOME } else { 0 };
         snapshot.flags |= if persons == 0 { score_flags::NO_NARRATION } else { 0 };
+        snapshot.flags |= match pipeline.inside().model().weakness {
+            Some(_) => score_flags::MODEL_WEAK,
+            None if scores.trust < 1.0 => score_flags::UNFAMILIAR,
+            None => 0,
+        };
 
         self.newest_sources.clear();
         for own in &scores.included {
@@ -394,6 +409,7 @@ impl Publication {
             };
             (place.reached, place.window) = (reached_value(own.reached), own.window as u64);
             place.label_mass = own.grounded.label_mass;
+            place.flags = if own.at_home && own.trust < 1.0 { person_flags::UNFAMILIAR } else { 0 };
             for (row, values) in [
                 (&mut place.log_score_nats, &own.grounded.partition_log_score_nats[..]),
                 (&mut place.lower_log_score_nats, own.lower_log_score_nats),

@@ -59,15 +59,18 @@ impl<M: LanguageModel> Board<M> {
         }
         own.left = own.left.checked_sub(1)?;
         let mut model = self.scoring.pipeline.ahead();
-        let rooms = model.rooms_of(text).and_then(|rooms| {
+        let rooms = model.rooms_of(text).and_then(|(rooms, trust)| {
             if own.blank.len() != rooms.len() {
-                own.blank = model.rooms_of("")?;
+                (own.blank, _) = model.rooms_of("")?;
             }
-            Ok(rooms)
+            Ok((rooms, trust))
         });
-        let rooms =
+        let (rooms, trust) =
             rooms.inspect_err(|error| tracing::debug!(%error, text, "failed to read a text without a place")).ok()?;
-        let fits: Arc<[f64]> = rooms.iter().zip(&own.blank).map(|(p, blank)| p / blank.max(1e-6)).collect();
+        let fits: Arc<[f64]> = (rooms.iter().zip(&own.blank))
+            // A text of unknown words fits each room.
+            .map(|(p, blank)| trust * p / blank.max(1e-6) + (1.0 - trust))
+            .collect();
         own.texts.truncate(KEPT - 1);
         own.texts.push_front((text.into(), Arc::clone(&fits)));
         Some(fits)

@@ -10,6 +10,7 @@ use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::label_trie::TokenTree;
 use roomcast_core::narration::Sentence;
 use roomcast_core::pipeline::PipelineOptions;
+use roomcast_core::scorer::certified::Effort;
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::scorer::{DecodeStats, ModelError, ModelInfo, TextStart, Token};
@@ -700,6 +701,31 @@ fn slow_board() -> Board<TableModel> {
     let grounding = Grounding::new(&map, &options).unwrap();
     let pipeline = Pipeline::new(TableModel::slow(7), grounding, PipelineOptions::default()).unwrap();
     Board::new(pipeline, map, options, 1).unwrap()
+}
+
+/// The limit is 5 ms, and the model takes 400 ms for a prompt.
+#[test]
+fn scores_that_miss_the_deadline_are_sent_again_as_old_and_behind() {
+    let (map, options) = (SemanticMap::from_json(TWO_ROOMS).unwrap(), GroundingOptions::default());
+    let grounding = Grounding::new(&map, &options).unwrap();
+    let late = PipelineOptions { effort: Effort::Deadline, ..PipelineOptions::default() };
+    let pipeline = Pipeline::new(TableModel::slow(7), grounding, late).unwrap();
+    let mut cycle = crate::daemon::cycle::Cycle::new(Board::new(pipeline, map, options, 1).unwrap(), 250_000_000);
+    let mut step = |at_s: u64, sentence: Option<&str>| {
+        let heard = sentence.map(|sentence| entry(PersonId(0), at_s * S, sentence));
+        heard.into_iter().for_each(|entry| cycle.enter(entry, 0));
+        cycle.step(BootNs(at_s * S), UnixNs(at_s * S)).unwrap();
+        let message = *cycle.message(BootNs(at_s * S), u64::MAX, false).unwrap();
+        (message, cycle.step_due(BootNs(at_s * S)))
+    };
+    let (first, _) = step(1, Some("They open the fridge."));
+    let (cut, is_due) = step(2, Some("They sit on the sofa."));
+    assert!(cut.has(score_flags::BEHIND) && is_due && cut.sequence == first.sequence + 1);
+    assert_eq!((cut.computed_ns, cut.published_ns, cut.room), (first.computed_ns, 2 * S, first.room));
+    assert_eq!(cut.included()[0].sequence, first.included()[0].sequence);
+    let (scored, is_due) = step(3, None);
+    assert!(!scored.has(score_flags::BEHIND) && !is_due && scored.computed_ns == 3 * S);
+    assert!(scored.room != first.room && scored.included()[0].sequence > first.included()[0].sequence);
 }
 
 /// The daemon receives, sends and reports life between steps. So no step may score all persons: in a flood, after a start, or with a changed map.
