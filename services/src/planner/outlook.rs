@@ -189,6 +189,21 @@ mod tests {
         assert_eq!(of(&sets, BootNs(0), 60.0), None, "they are of other rooms");
     }
 
+    /// The daemon sends a forecast again with each heartbeat.
+    #[test]
+    fn a_forecast_that_is_sent_again_is_read_at_its_age() {
+        const S: u64 = 1_000_000_000;
+        let mut scores = RoomScoresV1 { epoch: 1, room_count: 1, ..Default::default() };
+        scores.room[0].id = text::encode("id", "kitchen").unwrap();
+        let mut sent =
+            ForecastV1 { epoch: 1, room_count: 1, horizon_count: 2, published_ns: 10 * S, ..Default::default() };
+        sent.id[0] = scores.room[0].id;
+        sent.horizon_s[1] = 20.0;
+        sent.probability[0][1] = 1.0;
+        let forecast = Forecast::usable(Some(&sent), &scores, BootNs(10 * S), S).unwrap();
+        assert!((forecast.likely(0, 0.0) - 0.5).abs() < 1e-6 && (forecast.likely(0, 10.0) - 1.0).abs() < 1e-6);
+    }
+
     #[test]
     fn curves_are_straight_between_their_points_and_flat_beyond() {
         let value = |at| probability_at(&[10.0, 20.0], &[0.2, 0.4], at);
