@@ -124,7 +124,9 @@ mod tests {
                 out.extend(u32::try_from(anchors.len()).unwrap().to_le_bytes());
                 for anchor in anchors {
                     out.extend([0; 4]);
-                    ["stayed", "sampled", "miss"].map(|key| write(out, key, &anchor[key]));
+                    for key in ["stayed", "sampled", "miss"] {
+                        write(out, key, &anchor[key]);
+                    }
                     out.extend([0; 8]);
                     write(out, "scores", &anchor["scores"]);
                 }
