@@ -397,7 +397,10 @@ fn begin(path: &Path, old: Option<Found>) -> Result<(), SpoolError> {
     erased.map_err(|source| SpoolError::Sqlite { path: unfinished.clone(), source })?;
     drop(database);
     if found.given_up > 0 {
-        tracing::error!(given_up = found.given_up, "the queue of an earlier version is damaged: narrations before the damage are given up");
+        tracing::error!(
+            given_up = found.given_up,
+            "the queue of an earlier version is damaged: narrations before the damage are given up"
+        );
     }
     // SQLite would read a log that a removed database has left.
     for extension in ["new-wal", "new-shm", "db-wal", "db-shm"] {
