@@ -38,7 +38,7 @@ use roomcast_ipc::raw::{ForecastV1, NarrationV1, RoomScoresV1, narration_kind};
 use roomcast_ipc::{Domain, Publisher, Sender, Subscriber, clock};
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions, backend};
 use roomcast_services::config::IntakeLimits;
-use roomcast_services::daemon::{Board, Cycle, Entry, Intake, Taken};
+use roomcast_services::daemon::{Cycle, Engine, Entry, Intake, Taken};
 use roomcast_services::embedded::{self, ModelFile};
 
 /// Events at the beginning of each program that are not counted.
@@ -182,11 +182,12 @@ impl Ours {
         let options =
             PipelineOptions { effort, correction: CorrectionChoice::EQUATION_1, ..PipelineOptions::default() };
         let pipeline = Pipeline::new(model, grounding, options).expect("the context is large enough");
-        let board = Board::new(pipeline, map.clone(), GroundingOptions::default(), 1).expect("the rooms fit a message");
+        let engine =
+            Engine::new(pipeline, map.clone(), GroundingOptions::default(), 1).expect("the rooms fit a message");
         let node = domain.open("bench").expect("the domain is private");
         Self {
             intake: Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 }),
-            cycle: Cycle::new(board, u64::MAX / 2),
+            cycle: Cycle::new(engine, u64::MAX / 2),
             forecasts: node.publisher().expect("a port is free"),
             scores: node.publisher().expect("a port is free"),
             received: node.subscriber().expect("a port is free"),
@@ -207,7 +208,7 @@ impl Ours {
         let intake = nanoseconds(start);
         self.cycle.step(BootNs(now_ns), UnixNs(now_ns)).expect("the model scores");
         let forecasting = Instant::now();
-        let forecast = self.cycle.board_mut().forecast(BootNs(now_ns));
+        let forecast = self.cycle.engine_mut().forecast(BootNs(now_ns));
         let forecast_ns = nanoseconds(forecasting);
         let publishing = Instant::now();
         self.forecasts.send(forecast).expect("the forecast is sent");
@@ -218,7 +219,7 @@ impl Ours {
         let publish_scores = nanoseconds(publishing);
         let total = nanoseconds(start);
         assert!(self.received.newest().expect("the port works").is_some(), "the scores arrive");
-        let scores = self.cycle.board().pipeline().scores();
+        let scores = self.cycle.engine().pipeline().scores();
         let decoder = scores.stats.decoder_ns;
         let trie = scores.timing.trie_ns;
         let calls = scores.timing.prefix_ns;
@@ -243,7 +244,7 @@ impl Ours {
 
     /// The tokens of the next window that the model has read in the idle time.
     fn aside(&self, weights: &Weights) -> Vec<Token> {
-        let inside = self.cycle.board().pipeline().inside();
+        let inside = self.cycle.engine().pipeline().inside();
         let HistoryLimits { observations, slack, .. } = inside.options().history;
         let history = inside.histories().get(PersonId(0)).expect("there is one person");
         let sentences: Vec<&str> = history.sentences().skip(slack + 1).collect();
@@ -289,7 +290,7 @@ fn tell(
     {
         let mut exact = Ours::new(load(), map, Effort::Exact, &domains[0]);
         let mut ranking = Ours::new(load(), map, Effort::Ranking, &domains[1]);
-        let prepared = exact.cycle.board().pipeline().inside().prepared().clone();
+        let prepared = exact.cycle.engine().pipeline().inside().prepared().clone();
         let tree = TokenTree::of_inner_nodes(prepared.trie());
         assert!(tree.path_count() <= options.sequences, "the whole trie fits into one call");
         let mut bare_exact = Bare::new(&weights, options, tree.path_count());
@@ -298,7 +299,7 @@ fn tell(
         let (mut kept, mut aside) = (Vec::new(), Vec::new());
         let mut prompt_text = String::new();
         for (number, sentence) in program.iter().cycle().take(program.len() * rounds).enumerate() {
-            let pipeline = exact.cycle.board().pipeline();
+            let pipeline = exact.cycle.engine().pipeline();
             let history = pipeline.inside().histories().get(PersonId(0));
             let HistoryLimits { observations, slack, .. } = pipeline.inside().options().history;
             let before = history.into_iter().flat_map(|history| history.sentences());
@@ -329,7 +330,7 @@ fn tell(
                     _ => sample.bare_new = bare_new.decode(&prompt, &none),
                 }
             }
-            let scores = exact.cycle.board().pipeline().scores();
+            let scores = exact.cycle.engine().pipeline().scores();
             assert_eq!(scores.stats.prompt_tokens_decoded as usize, sample.new_tokens, "the same new tokens");
             assert_eq!(scores.stats.tree_tokens_decoded as usize, tree.len(), "the same nodes");
             let by_hand = bare_exact.log_prob_nats(sample.new_tokens, prepared.trie());

@@ -16,7 +16,7 @@ use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::clock;
 use roomcast_llama::{LlamaModel, LlamaOptions};
-use roomcast_services::daemon::{Board, Cycle, Entry};
+use roomcast_services::daemon::{Cycle, Engine, Entry};
 use roomcast_services::embedded;
 use roomcast_services::setup::load_model;
 
@@ -41,7 +41,7 @@ fn cycle() -> Cycle<LlamaModel> {
     let grounding = Grounding::new(&map, &GroundingOptions::default()).expect("the scene has labels");
     let model = load_model(None, &LlamaOptions::default()).expect("it ships");
     let pipeline = Pipeline::new(model, grounding, PipelineOptions::default()).expect("the context is large enough");
-    Cycle::new(Board::new(pipeline, map, GroundingOptions::default(), 1).expect("the rooms fit"), u64::MAX / 2)
+    Cycle::new(Engine::new(pipeline, map, GroundingOptions::default(), 1).expect("the rooms fit"), u64::MAX / 2)
 }
 
 /// Runs one event; returns microseconds without and with the idle work after it.
@@ -51,11 +51,11 @@ fn event(cycle: &mut Cycle<LlamaModel>, sequence: u64, sentence: &Sentence) -> [
     let start = Instant::now();
     cycle.enter(Entry::new(observation, BootNs(now_ns)), 0);
     cycle.step(BootNs(now_ns), UnixNs(now_ns)).expect("the model scores");
-    std::hint::black_box(cycle.board_mut().forecast(BootNs(now_ns)));
+    std::hint::black_box(cycle.engine_mut().forecast(BootNs(now_ns)));
     std::hint::black_box(cycle.message(BootNs(now_ns), u64::MAX, false));
     let event_us = start.elapsed().as_secs_f64() * 1e6;
     // As the daemon does after writing its journal.
-    cycle.board_mut().tell_outcomes(|_| {});
+    cycle.engine_mut().tell_outcomes(|_| {});
     while cycle.tidy() {}
     [event_us, start.elapsed().as_secs_f64() * 1e6]
 }

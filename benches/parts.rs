@@ -138,7 +138,7 @@ impl Told {
         self.next += 1;
         let observation = Observation::of(self.next, self.sentences[place].clone());
         self.pipeline.step([observation]).expect("the model scores");
-        while self.pipeline.ahead().tidy() {}
+        while self.pipeline.idle().tidy() {}
     }
 }
 

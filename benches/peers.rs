@@ -75,7 +75,7 @@ fn main() {
             "ns": event_ns, "prompt": prompt, "prompt_tokens": scores.prompt_tokens,
             "log_prob_nats": scores.label_log_prob_nats,
         });
-        while pipeline.ahead().tidy() {}
+        while pipeline.idle().tidy() {}
         writeln!(output, "{answer}").expect("a reader");
     }
 }

@@ -64,7 +64,7 @@ impl From<DaemonError> for Failure {
     fn from(error: DaemonError) -> Self {
         let code = match error {
             DaemonError::Setup(error) => return error.into(),
-            DaemonError::Board(_) => exit_code::INPUT,
+            DaemonError::Engine(_) => exit_code::INPUT,
             DaemonError::Ipc(_) | DaemonError::Journal(JournalError::Locked { .. }) => exit_code::IPC,
             DaemonError::Affinity(_) => exit_code::CONFIG,
             _ => exit_code::FAILURE,
@@ -77,7 +77,7 @@ impl From<LessonError> for Failure {
     fn from(error: LessonError) -> Self {
         match error {
             LessonError::Setup(error) => error.into(),
-            LessonError::Board(_) => Self::new(exit_code::INPUT, error),
+            LessonError::Engine(_) => Self::new(exit_code::INPUT, error),
             _ => Self::new(exit_code::FAILURE, error),
         }
     }

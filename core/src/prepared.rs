@@ -81,7 +81,7 @@ impl<M: LanguageModel> Preparer<M> {
         Self { scorer: Scorer::new(model) }
     }
 
-    /// The person's prompt after `sentence`, said by the voice of the person's newest event. `None` if the person has no event yet, or no current
+    /// The person's prompt after `sentence`, said by the quota of the person's newest event. `None` if the person has no event yet, or no current
     /// scores.
     pub fn ask(&mut self, outlook: &Outlook, person: PersonId, sentence: &Sentence) -> Option<Ask> {
         let own = outlook.persons.iter().find(|own| own.person == person)?;
@@ -89,10 +89,10 @@ impl<M: LanguageModel> Preparer<M> {
             return None;
         }
         let tokens = self.scorer.cost_of(sentence.as_str());
-        let (mut next, voice) = own.history.newest()?;
+        let (mut next, quota) = own.history.newest()?;
         next.event = Event::Did(sentence.clone());
         let mut history = own.history.clone();
-        history.hear(next, voice, tokens);
+        history.hear(next, quota, tokens);
         let labels = Arc::clone(&outlook.labels);
         let mut prompt = String::new();
         write_prompt(history.sentences(), labels.binding(), labels.tokenisation() == Tokenisation::Paper, &mut prompt);

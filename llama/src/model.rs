@@ -4,7 +4,7 @@
 //! decodes only the rest.
 //!
 //! **Other prefixes too.** A window loses its oldest sentences at once, and then nearly all of its tokens have other positions. So the
-//! next window is decoded in small parts before, and its cells wait outside the context ([`LanguageModel::read_aside`]). Persons who act in
+//! next window is decoded in small parts before, and its cells wait outside the context ([`LanguageModel::read_part`]). Persons who act in
 //! turn have their prefixes there, too.
 //!
 //! **One batch.** New prompt tokens and the tree behind them go to the decoder in one call. A token carries the ids of all paths through
@@ -624,7 +624,7 @@ impl LanguageModel for LlamaModel {
         Ok(until == prompt.len())
     }
 
-    fn read_aside(&mut self, prompt: &[Token], calls: usize) -> Result<bool, ModelError> {
+    fn read_part(&mut self, prompt: &[Token], calls: usize) -> Result<bool, ModelError> {
         let aside = self.sequences;
         let most = self.kept.len() + prompt.len();
         if !self.info.shares_prefix || aside >= SEQUENCES_MAX || most > self.info.context_tokens {

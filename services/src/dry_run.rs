@@ -12,7 +12,7 @@ use roomcast_ipc::raw::narration_kind;
 use serde::Serialize;
 
 use crate::config::Config;
-use crate::daemon::{Board, BoardError, Entry, Persons, PersonsFile, UnderstoodLine};
+use crate::daemon::{Engine, EngineError, Entry, Persons, PersonsFile, UnderstoodLine};
 use crate::line::{Item, Who};
 use crate::message_text::event_of;
 use crate::setup;
@@ -33,7 +33,7 @@ pub enum DryRunError {
     Grounding(#[from] GroundingError),
     /// The map does not fit.
     #[error(transparent)]
-    Board(#[from] BoardError),
+    Engine(#[from] EngineError),
     /// A step failed.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
@@ -116,7 +116,7 @@ fn meaning(report: &SensorReport) -> String {
 /// Reads events as the daemon does, one after the other.
 #[derive(Debug)]
 pub struct DryRun {
-    board: Board<TableModel>,
+    engine: Engine<TableModel>,
     sequence: u64,
     now_ns: BootNs,
     unix_ns: UnixNs,
@@ -137,9 +137,9 @@ impl DryRun {
     fn of(map: SemanticMap, config: &Config, persons: Persons, now_unix_ns: UnixNs) -> Result<Self, DryRunError> {
         let grounding = Grounding::new(&map, &config.grounding)?;
         let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default())?;
-        let board =
-            Board::new(pipeline, map, config.grounding, 1)?.with_persons(persons).with_forecast(config.forecast);
-        Ok(Self { board, sequence: 0, now_ns: BootNs(1_000_000_000_000), unix_ns: now_unix_ns })
+        let engine =
+            Engine::new(pipeline, map, config.grounding, 1)?.with_persons(persons).with_forecast(config.forecast);
+        Ok(Self { engine, sequence: 0, now_ns: BootNs(1_000_000_000_000), unix_ns: now_unix_ns })
     }
 
     /// The effect of an item after all items before it; `None` if the daemon would reject the item.
@@ -168,10 +168,10 @@ impl DryRun {
             ..Observation::saying(self.sequence, event)
         };
         let before = self.places();
-        self.board.step([Entry::new(observation, self.now_ns)], self.now_ns, self.unix_ns)?;
-        self.board.tell_outcomes(|_| {});
+        self.engine.step([Entry::new(observation, self.now_ns)], self.now_ns, self.unix_ns)?;
+        self.engine.tell_outcomes(|_| {});
         let after = self.places();
-        let line = self.board.understood_lines(SOURCE, 1, self.sequence).pop();
+        let line = self.engine.understood_lines(SOURCE, 1, self.sequence).pop();
         Ok(line.map(|understood| {
             let belief = |person: PersonId| {
                 let (_, own) = after.iter().find(|(number, _)| *number == person)?;
@@ -180,7 +180,7 @@ impl DryRun {
                 let of_place = |own: &Vec<(String, f32)>| own.iter().find(|(other, _)| other == place).map(|(_, p)| *p);
                 Some(Belief {
                     person: self
-                        .board
+                        .engine
                         .persons()
                         .name_of(person)
                         .map_or_else(|| format!("person {person}"), str::to_owned),
@@ -196,8 +196,8 @@ impl DryRun {
 
     /// The belief about each person's place: rooms, and `elsewhere`.
     fn places(&mut self) -> Vec<(PersonId, Vec<(String, f32)>)> {
-        let rooms: Vec<String> = self.board.snapshot().rooms().iter().map(|room| room.id().to_owned()).collect();
-        let forecasts = self.board.person_forecasts(self.now_ns);
+        let rooms: Vec<String> = self.engine.snapshot().rooms().iter().map(|room| room.id().to_owned()).collect();
+        let forecasts = self.engine.person_forecasts(self.now_ns);
         let of = |own: &roomcast_ipc::raw::PersonForecastV1| {
             let places = rooms.iter().cloned().zip(own.probability.iter().map(|row| row[0]));
             (PersonId(own.person), places.chain([("elsewhere".to_owned(), own.elsewhere[0])]).collect())

@@ -1,4 +1,4 @@
-//! Learns habits from the past: a recording, a sensor log, or lines with times. A board with its own model gets all events at their times,
+//! Learns habits from the past: a recording, a sensor log, or lines with times. A engine with its own model gets all events at their times,
 //! minute by minute, and returns what it has learned. It has no ports and no clock.
 
 use std::collections::BTreeSet;
@@ -12,7 +12,7 @@ use roomcast_core::scorer::LanguageModel;
 use roomcast_llama::LlamaModel;
 
 use crate::config::Config;
-use crate::daemon::{Board, BoardError, Entry, HomeHabits, Memory, Persons, PersonsFile, Zone};
+use crate::daemon::{Engine, EngineError, Entry, HomeHabits, Memory, Persons, PersonsFile, Zone};
 use crate::line::{FAST_NS, Faults, Item, Who, line_item};
 use crate::message_text::event_of;
 #[cfg(feature = "recording")]
@@ -33,7 +33,7 @@ pub enum LessonError {
     Setup(#[from] SetupError),
     /// The map does not fit into messages.
     #[error(transparent)]
-    Board(#[from] BoardError),
+    Engine(#[from] EngineError),
     /// The model failed.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
@@ -60,7 +60,7 @@ enum Unfit {
     #[error("its time lies before 1970; correct it")]
     Early,
     #[error("its time lies {} ahead; give a time in the past, or set this machine's clock", in_words(*.0))]
-    Ahead(u64),
+    Prefetcher(u64),
     #[error("{0}")]
     Text(String),
 }
@@ -119,7 +119,7 @@ impl Lessons {
         let lesson = lesson.and_then(|lesson| {
             let at_ns = at_ns.ok_or(Unfit::NoTime)?;
             match at_ns.since(self.now_ns) {
-                ahead_ns if ahead_ns > FAST_NS => Err(Unfit::Ahead(ahead_ns)),
+                ahead_ns if ahead_ns > FAST_NS => Err(Unfit::Prefetcher(ahead_ns)),
                 _ => Ok(Lesson { at_ns: at_ns.min(self.now_ns), ..lesson }),
             }
         });
@@ -200,32 +200,32 @@ impl Lessons {
     }
 }
 
-/// A board that continues earlier habits, with the model, map and persons of the configuration.
+/// A engine that continues earlier habits, with the model, map and persons of the configuration.
 ///
 /// # Errors
 /// When the set-up fails, or the earlier habits are malformed.
-pub fn board(config: &Config, before: &str, zone: Zone) -> Result<Board<LlamaModel>, LessonError> {
+pub fn engine(config: &Config, before: &str, zone: Zone) -> Result<Engine<LlamaModel>, LessonError> {
     let (pipeline, map) = setup::open(config)?;
     let options = HabitsOptions { learn: true, ..config.habits.options() };
     let habits = Habits::from_json(options, before)?;
     let names = config.daemon.state_directory().map(|directory| PersonsFile::load(&directory)).unwrap_or_default();
-    let board = Board::new(pipeline, map, config.grounding, 1)?;
-    let board = board.with_persons(Persons::new(config.persons.clone(), names)).with_forecast(config.forecast);
-    Ok(board.with_habits(HomeHabits::new(Memory::of(habits), zone).of_the_past()))
+    let engine = Engine::new(pipeline, map, config.grounding, 1)?;
+    let engine = engine.with_persons(Persons::new(config.persons.clone(), names)).with_forecast(config.forecast);
+    Ok(engine.with_habits(HomeHabits::new(Memory::of(habits), zone).of_the_past()))
 }
 
-/// Gives all lessons to a board by time, and returns its habits. `told` gets the count after each lesson.
+/// Gives all lessons to a engine by time, and returns its habits. `told` gets the count after each lesson.
 ///
 /// # Errors
 /// When the model fails.
 pub fn teach<M: LanguageModel>(
-    mut board: Board<M>,
+    mut engine: Engine<M>,
     mut lessons: Vec<Lesson>,
     mut told: impl FnMut(usize),
 ) -> Result<String, LessonError> {
     lessons.sort_by_key(|lesson| lesson.at_ns);
     let mut now_ns = lessons.first().map_or(UnixNs(0), |lesson| lesson.at_ns);
-    // The board's monotonic clock skips unobserved times.
+    // The engine's monotonic clock skips unobserved times.
     let mut skipped_ns = 0;
     for (sequence, lesson) in (1..).zip(lessons) {
         let Lesson { at_ns, person, name, count, event } = lesson;
@@ -235,7 +235,7 @@ pub fn teach<M: LanguageModel>(
         }
         while at_ns.since(now_ns) > MINUTE_NS {
             now_ns = now_ns + MINUTE_NS;
-            board.tick(BootNs(now_ns.0 - skipped_ns), now_ns);
+            engine.tick(BootNs(now_ns.0 - skipped_ns), now_ns);
         }
         now_ns = at_ns;
         let observed_ns = BootNs(now_ns.0 - skipped_ns);
@@ -252,14 +252,14 @@ pub fn teach<M: LanguageModel>(
             may_be_form: true,
             event,
         };
-        board.step([Entry::new(observation, observed_ns)], observed_ns, now_ns)?;
-        board.tell_outcomes(|_| {});
+        engine.step([Entry::new(observation, observed_ns)], observed_ns, now_ns)?;
+        engine.tell_outcomes(|_| {});
         // A daemon does this once a minute, even when events are frequent.
-        board.tick(observed_ns, now_ns);
-        while board.tidy() {}
+        engine.tick(observed_ns, now_ns);
+        while engine.tidy() {}
         told(sequence as usize);
     }
-    Ok(board.habits().to_json()?)
+    Ok(engine.habits().to_json()?)
 }
 
 #[cfg(test)]
@@ -274,13 +274,13 @@ mod tests {
     use crate::sensor_log::SensorRules;
 
     /// The real model would take long; this one has invented scores.
-    fn board() -> Board<TableModel> {
+    fn engine() -> Engine<TableModel> {
         let map = SemanticMap::from_json(include_str!("../../tests/data/two_rooms.json")).unwrap();
         let options = GroundingOptions::default();
         let grounding = Grounding::new(&map, &options).unwrap();
         let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
         let home = HomeHabits::new(Memory::new(HabitsOptions::default()), Zone::UTC);
-        Board::new(pipeline, map, options, 1).unwrap().with_habits(home)
+        Engine::new(pipeline, map, options, 1).unwrap().with_habits(home)
     }
 
     fn item(at_s: u64, text: &str) -> Item {
@@ -310,12 +310,12 @@ mod tests {
         }
         assert_eq!((lessons.lessons().len(), lessons.faults().count()), (21, 1));
         let mut counted = 0;
-        let json = teach(board(), lessons.lessons().to_vec(), |told| counted = told).unwrap();
+        let json = teach(engine(), lessons.lessons().to_vec(), |told| counted = told).unwrap();
         assert_eq!(counted, 21);
         let habits = Habits::from_json(HabitsOptions::default(), &json).unwrap();
         assert_eq!(habits.persons().collect::<Vec<_>>(), [(PersonId(3), 21.0)]);
         assert!(json.contains("sofa") && !json.contains("They"));
-        assert!(teach(board(), Vec::new(), |_| {}).is_ok());
+        assert!(teach(engine(), Vec::new(), |_| {}).is_ok());
     }
 
     fn fridge(log: &str) -> SensorLog {
@@ -422,12 +422,12 @@ mod tests {
         let day = |day: u64| format!("{}\t{}\tfridge\t-\t-\n", day * 86_400, day * 86_400 + 5);
         let recent: String = (19_770..19_780).map(day).collect();
         lessons.take_sensors(fridge(&recent));
-        let json = teach(board(), lessons.lessons().to_vec(), |_| {}).unwrap();
+        let json = teach(engine(), lessons.lessons().to_vec(), |_| {}).unwrap();
         let known = |json: &str| Habits::from_json(HabitsOptions::default(), json).unwrap();
-        let board = board().with_habits(HomeHabits::new(Memory::of(known(&json)), Zone::UTC).of_the_past());
+        let engine = engine().with_habits(HomeHabits::new(Memory::of(known(&json)), Zone::UTC).of_the_past());
         let mut old = Lessons::of_local_time(&Zone::UTC, UnixNs(NOW_NS));
         old.take_sensors(fridge("100\t105\tfridge\t-\t-\n600\t605\tfridge\t-\t-\n"));
-        let after = teach(board, old.lessons().to_vec(), |_| {}).unwrap();
+        let after = teach(engine, old.lessons().to_vec(), |_| {}).unwrap();
         let after = known(&after);
         assert_eq!(after.observations(PersonId(3)), 12.0);
         Habits::from_stored(HabitsOptions::default(), after.stored()).unwrap();

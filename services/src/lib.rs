@@ -1,7 +1,7 @@
 //! Roomcast's processes: the daemon that scores rooms, the planner that sends the robot elsewhere, and narrators.
 //!
 //! Data flows one way: a narrator publishes events, the daemon publishes room scores, the planner publishes decisions. The deciding parts
-//! ([`daemon::Intake`], [`daemon::Board`], [`planner::Planner`]) are separate from threads, ports and clocks, so that faults can be
+//! ([`daemon::Intake`], [`daemon::Engine`], [`planner::Planner`]) are separate from threads, ports and clocks, so that faults can be
 //! simulated.
 //!
 //! The crate is the program's library: its signatures contain types of its dependencies (`crossbeam`, `rumqttc`, `sd-notify`). Other

@@ -1,7 +1,7 @@
 //! `roomcast demo --days N`: some days of one home in a minute, in which the forecast improves.
 //!
 //! The person's days consist of the shipped activity programs at nearly the same hours, and of an absence on working days. The events go through the
-//! daemon's own [`Board`], with its model, its habits and a tick every minute, and through a second one that learns nothing. Once a minute both
+//! daemon's own [`Engine`], with its model, its habits and a tick every minute, and through a second one that learns nothing. Once a minute both
 //! forecast the person's place a quarter of an hour later, and are scored then.
 
 use std::collections::VecDeque;
@@ -21,7 +21,7 @@ use roomcast_core::narration::{Event, Observation, Program};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_services::config::Config;
-use roomcast_services::daemon::{Board, Entry, HomeHabits, Memory, Zone};
+use roomcast_services::daemon::{Engine, Entry, HomeHabits, Memory, Zone};
 use roomcast_services::{embedded, setup};
 use roomcast_simulation::binding::ItemChoice;
 use roomcast_simulation::homer::{Day, TimedAction};
@@ -170,7 +170,7 @@ impl Life {
     }
 }
 
-struct Watcher<M>(Board<M>);
+struct Watcher<M>(Engine<M>);
 
 impl<M: LanguageModel> Watcher<M> {
     fn hears(&mut self, sequence: u64, (at_s, event): &(f64, Event)) -> Result<(), Failure> {
@@ -202,11 +202,11 @@ impl<M: LanguageModel> Watcher<M> {
     }
 }
 
-/// Feeds both boards; reports every day's cases at its end.
+/// Feeds both engines; reports every day's cases at its end.
 fn watch<M: LanguageModel>(
     life: &Life,
-    with: Board<M>,
-    without: Board<M>,
+    with: Engine<M>,
+    without: Engine<M>,
     mut day_is_over: impl FnMut(usize, &[Case]) -> CommandResult,
 ) -> CommandResult {
     let (mut with, mut without) = (Watcher(with), Watcher(without));
@@ -244,13 +244,13 @@ fn watch<M: LanguageModel>(
 }
 
 pub(super) fn run(config: &Config, days: usize, seed: u64) -> CommandResult {
-    let board = |learn: bool| {
+    let engine = |learn: bool| {
         let (pipeline, map) = setup::open(config)?;
-        let board = Board::new(pipeline, map, config.grounding, 1).map_err(failed)?;
+        let engine = Engine::new(pipeline, map, config.grounding, 1).map_err(failed)?;
         let options = HabitsOptions { learn, ..config.habits.options() };
-        Ok::<_, Failure>(board.with_habits(HomeHabits::new(Memory::new(options), Zone::UTC)))
+        Ok::<_, Failure>(engine.with_habits(HomeHabits::new(Memory::new(options), Zone::UTC)))
     };
-    let (with, without) = (board(true)?, board(false)?);
+    let (with, without) = (engine(true)?, engine(false)?);
     let life = Life::new(days, with.map(), with.pipeline().grounding(), seed)?;
     let is_wide = columns() >= WIDE;
     let text = format!(
@@ -339,20 +339,20 @@ mod tests {
 
     use super::*;
 
-    fn board(learn: bool) -> Board<TableModel> {
+    fn engine(learn: bool) -> Engine<TableModel> {
         let map = setup::load_map(Some("apartment-e0".as_ref())).unwrap();
         let options = GroundingOptions::default();
         let grounding = Grounding::new(&map, &options).unwrap();
         let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
         let habits = HabitsOptions { learn, ..HabitsOptions::default() };
-        let board = Board::new(pipeline, map, options, 1).unwrap();
-        board.with_habits(HomeHabits::new(Memory::new(habits), Zone::UTC))
+        let engine = Engine::new(pipeline, map, options, 1).unwrap();
+        engine.with_habits(HomeHabits::new(Memory::new(habits), Zone::UTC))
     }
 
     /// The daily figures must follow from the minutes, and the week must show progress.
     #[test]
     fn a_week_makes_the_forecast_good() {
-        let (with, without) = (board(true), board(false));
+        let (with, without) = (engine(true), engine(false));
         let life = Life::new(7, with.map(), with.pipeline().grounding(), 3).unwrap();
         assert_eq!(life.out.len(), 5);
         let mut days = Vec::new();

@@ -297,7 +297,7 @@ fn times_ms(config: &Config, map: &SemanticMap, model: LlamaModel) -> Result<Vec
         let scoring = Instant::now();
         pipeline.step([Observation::of(sequence, sentence)])?;
         times_ms.push(scoring.elapsed().as_secs_f64() * 1e3);
-        while pipeline.ahead().tidy() {}
+        while pipeline.idle().tidy() {}
     }
     times_ms.sort_by(f64::total_cmp);
     Ok(times_ms)

@@ -213,9 +213,9 @@ fn learn(args: &LearnArgs) -> CommandResult {
     let asker = Asker::new(&args.common)?;
     for attempt in 1..=ATTEMPTS {
         let (before, learned) = asker.export()?;
-        let board = lessons::board(&config, &learned, read.zone().clone())?;
+        let engine = lessons::engine(&config, &learned, read.zone().clone())?;
         let narrations = read.lessons().len();
-        let learned = lessons::teach(board, read.lessons().to_vec(), |told| {
+        let learned = lessons::teach(engine, read.lessons().to_vec(), |told| {
             if told % 1_000 == 0 {
                 super::tell(format_args!("roomcast: {told} of {narrations} narrations"));
             }

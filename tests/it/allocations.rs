@@ -10,7 +10,7 @@ use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::raw::{ForecastV1, RoomScoresV1};
 use roomcast_ipc::{Domain, clock};
 use roomcast_llama::LlamaOptions;
-use roomcast_services::daemon::{Board, Cycle, Entry, HomeHabits, Memory, Zone};
+use roomcast_services::daemon::{Cycle, Engine, Entry, HomeHabits, Memory, Zone};
 use roomcast_services::embedded;
 use roomcast_services::setup::load_model;
 
@@ -30,9 +30,9 @@ fn allocations(effort: Effort) -> Vec<[u64; 4]> {
     let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
     let options = PipelineOptions { effort, ..PipelineOptions::default() };
     let pipeline = Pipeline::new(load_model(None, &LlamaOptions::default()).unwrap(), grounding, options).unwrap();
-    let board = Board::new(pipeline, map, GroundingOptions::default(), 1).unwrap();
-    let board = board.with_habits(HomeHabits::new(Memory::new(HabitsOptions::default()), Zone::UTC));
-    let mut cycle = Cycle::new(board, u64::MAX / 2);
+    let engine = Engine::new(pipeline, map, GroundingOptions::default(), 1).unwrap();
+    let engine = engine.with_habits(HomeHabits::new(Memory::new(HabitsOptions::default()), Zone::UTC));
+    let mut cycle = Cycle::new(engine, u64::MAX / 2);
     let sentences: Vec<String> = embedded::PROGRAMS
         .iter()
         .flat_map(|program| Program::parse(program.text).unwrap().steps)
@@ -57,10 +57,10 @@ fn allocations(effort: Effort) -> Vec<[u64; 4]> {
             });
             let (mut forecast, mut message) = (None, None);
             let written = allocation_counter::measure(|| {
-                forecast = Some(*cycle.board_mut().forecast(BootNs(now_ns)));
-                cycle.board_mut().person_scores(BootNs(now_ns));
-                cycle.board_mut().person_forecasts(BootNs(now_ns));
-                cycle.board_mut().tick(BootNs(now_ns), UnixNs(now_ns));
+                forecast = Some(*cycle.engine_mut().forecast(BootNs(now_ns)));
+                cycle.engine_mut().person_scores(BootNs(now_ns));
+                cycle.engine_mut().person_forecasts(BootNs(now_ns));
+                cycle.engine_mut().tick(BootNs(now_ns), UnixNs(now_ns));
                 message = cycle.message(BootNs(now_ns), u64::MAX, false).copied();
             });
             let sent = allocation_counter::measure(|| {
@@ -69,14 +69,14 @@ fn allocations(effort: Effort) -> Vec<[u64; 4]> {
             });
             let tidied = allocation_counter::measure(|| while cycle.tidy() {});
             // Drains the records for the journal, outside the measurement.
-            cycle.board_mut().tell_outcomes(|_| {});
+            cycle.engine_mut().tell_outcomes(|_| {});
             counts.push([scored, written, sent, tidied].map(|part| part.count_total));
             assert_eq!(received.newest().unwrap().unwrap().sequence, sequence);
         }
     }
     domain.clean_up().unwrap();
     assert!(counts[0][0] > 0, "the first event finds its memory, or nothing is counted");
-    assert!(cycle.board().habits().learned().observations > sentences.len() as f64);
+    assert!(cycle.engine().habits().learned().observations > sentences.len() as f64);
     counts.split_off(TOLD * sentences.len())
 }
 

@@ -9,7 +9,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::ids::PersonId;
-use roomcast_core::narration::{Observation, Program, Sentence, Voice};
+use roomcast_core::narration::{Observation, Program, Quota, Sentence};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_llama::{LlamaModel, LlamaOptions};
@@ -72,7 +72,7 @@ impl Home {
         self.sequence += 1;
         let (source, share) = (who as u64 + 1, 1);
         let said = Observation { source, ..Observation::of(self.sequence, Sentence::new(sentence).unwrap()) };
-        self.pipeline.intake().hear([(Voice { number: source, share }, said)]);
+        self.pipeline.intake().hear([(Quota { number: source, share }, said)]);
     }
 
     fn rooms(&mut self) -> Vec<f64> {

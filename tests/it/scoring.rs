@@ -21,7 +21,7 @@ use roomcast_core::semantic_map::{SemanticMap, import};
 use roomcast_ipc::raw::{forecast_flags, person_flags, score_flags};
 use roomcast_llama::gguf::Header;
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
-use roomcast_services::daemon::{Board, Entry};
+use roomcast_services::daemon::{Engine, Entry};
 use roomcast_services::embedded;
 use roomcast_services::setup::load_model;
 
@@ -480,7 +480,7 @@ fn partial_answers_are_true_in(map: &SemanticMap, weights: Weights) -> usize {
         for (sequence, sentence) in (0..).zip(sentences()) {
             let truth = exact.step([observation(sequence, &sentence)]).unwrap();
             exact_scores.clone_from(&truth.grounded.partition_log_score_nats);
-            while exact.ahead().tidy() {}
+            while exact.idle().tidy() {}
             // A slow machine keeps the last scores for a step.
             if partial.step([observation(sequence, &sentence)]).unwrap().is_cut {
                 partial.score().unwrap();
@@ -501,7 +501,7 @@ fn partial_answers_are_true_in(map: &SemanticMap, weights: Weights) -> usize {
             if scores.reached == Effort::Ranking && margin > weights.tolerances().0 {
                 assert_eq!(order(&scores.grounded.partition_log_score_nats), order(&exact_scores));
             }
-            while partial.ahead().tidy() {}
+            while partial.idle().tidy() {}
         }
     }
     compared.finish();
@@ -517,25 +517,25 @@ fn what_lies_hours_back_does_not_say_what_comes_next() {
     let pipeline = || Pipeline::new(model(64), grounding.clone(), PipelineOptions::default()).unwrap();
     let room = |id: &str| grounding.partitions().iter().position(|partition| partition.id == id).unwrap();
     let (kitchen, bedroom) = (room("kitchen"), room("bedroom"));
-    let mut board = Board::new(pipeline(), map.clone(), GroundingOptions::default(), 1).unwrap();
+    let mut engine = Engine::new(pipeline(), map.clone(), GroundingOptions::default(), 1).unwrap();
     let evening = ["They open the fridge.", "They grab the milk.", "They lie on the bed.", "They fall asleep."];
     for (sequence, sentence) in (1..).zip(evening) {
         let observation =
             Observation { observed_ns: BootNs((1000 + 20 * sequence) * S), ..observation(sequence, sentence) };
         let now_ns = observation.observed_ns;
-        board.step([Entry::new(observation, now_ns)], now_ns, UnixNs(now_ns.0)).unwrap();
+        engine.step([Entry::new(observation, now_ns)], now_ns, UnixNs(now_ns.0)).unwrap();
     }
-    let evening = board.snapshot().rooms()[kitchen].probability;
+    let evening = engine.snapshot().rooms()[kitchen].probability;
     let morning_ns = (1080 + 8 * 3600) * S;
-    assert!(!board.is_overdue(BootNs((1080 + 3600) * S)) && board.is_overdue(BootNs(morning_ns)));
-    board.step([], BootNs(morning_ns), UnixNs(morning_ns)).unwrap();
-    assert!(!board.is_overdue(BootNs(morning_ns)) && board.snapshot().window == 0);
+    assert!(!engine.is_overdue(BootNs((1080 + 3600) * S)) && engine.is_overdue(BootNs(morning_ns)));
+    engine.step([], BootNs(morning_ns), UnixNs(morning_ns)).unwrap();
+    assert!(!engine.is_overdue(BootNs(morning_ns)) && engine.snapshot().window == 0);
     let mut unknown = pipeline();
     let unknown = &unknown.score().unwrap().grounded.partition_probability;
-    for (room, unknown) in board.snapshot().rooms().iter().zip(unknown) {
+    for (room, unknown) in engine.snapshot().rooms().iter().zip(unknown) {
         assert!((room.probability - unknown).abs() < 1e-3, "{}: {} {unknown}", room.id(), room.probability);
     }
-    let forecast = board.forecast(BootNs(morning_ns));
+    let forecast = engine.forecast(BootNs(morning_ns));
     println!("kitchen {evening:.3} in the evening, {:.3} in the morning", unknown[kitchen]);
     println!(
         "bedroom now {:.3}, in a quarter of an hour {:.3}",
@@ -601,20 +601,20 @@ fn prepared_answers_are_those_computed_afterwards(weights: Weights) {
     for sequence in 1..=60 {
         let said = sentences.choose(&mut rng).unwrap();
         if sequence > 1 {
-            while ahead.ahead().tidy() {}
+            while ahead.idle().tidy() {}
             let mut guesses: Vec<&String> = sentences.sample(&mut rng, 6).collect();
             if rng.random_bool(0.5) {
                 guesses.insert(rng.random_range(0..guesses.len()), said);
             }
-            let outlook = ahead.ahead().outlook();
+            let outlook = ahead.idle().outlook();
             for guess in guesses {
                 let ask = aside.ask(&outlook, PersonId(0), &Sentence::new(guess).unwrap()).unwrap();
                 let answer = aside.answer(ask).unwrap();
-                assert!(ahead.ahead().keep_answer(answer));
+                assert!(ahead.idle().keep_answer(answer));
             }
         }
         used += ahead.step([observation(sequence, said)]).unwrap().prepared;
-        while behind.ahead().tidy() {}
+        while behind.idle().tidy() {}
         behind.step([observation(sequence, said)]).unwrap();
         let tokens = ahead.inside().prepared().tokens();
         let nats = apart(tokens, &ahead.scores().label_log_prob_nats, &behind.scores().label_log_prob_nats);
@@ -680,43 +680,43 @@ fn a_map_of_unknown_words_is_flagged_whatever_is_narrated() {
     assert!(pipeline.step([observation(1, "They open the fridge.")]).unwrap().trust < 1.0);
 }
 
-fn studio_board(model: LlamaModel) -> Board<LlamaModel> {
+fn studio_board(model: LlamaModel) -> Engine<LlamaModel> {
     let (map, options) = (studio(), GroundingOptions::default());
     let grounding = Grounding::new(&map, &options).unwrap();
     let options_of = PipelineOptions { history: HistoryLimits::default(), ..PipelineOptions::default() };
-    Board::new(Pipeline::new(model, grounding, options_of).unwrap(), map, options, 1).unwrap()
+    Engine::new(Pipeline::new(model, grounding, options_of).unwrap(), map, options, 1).unwrap()
 }
 
 /// Narrates a second later each, and returns the flags of scores, forecast and person, and the probability of each room a minute after the last one.
-fn narrated(board: &mut Board<LlamaModel>, from_s: u64, sentences: &[&str]) -> ([u32; 3], Vec<f64>) {
+fn narrated(engine: &mut Engine<LlamaModel>, from_s: u64, sentences: &[&str]) -> ([u32; 3], Vec<f64>) {
     let mut now_ns = BootNs(0);
     for (sequence, sentence) in (from_s..).zip(sentences) {
         now_ns = BootNs(sequence * 1_000_000_000);
         let observation = Observation { observed_ns: now_ns, ..observation(sequence, sentence) };
-        board.step([Entry::new(observation, now_ns)], now_ns, UnixNs(now_ns.0)).unwrap();
+        engine.step([Entry::new(observation, now_ns)], now_ns, UnixNs(now_ns.0)).unwrap();
     }
-    let person = board.person_scores(now_ns).persons()[0].flags;
-    let forecast = board.forecast(now_ns);
+    let person = engine.person_scores(now_ns).persons()[0].flags;
+    let forecast = engine.forecast(now_ns);
     let minute = forecast.horizons_s().iter().position(|horizon_s| *horizon_s == 60.0).unwrap();
     let rooms = forecast.rooms().map(|(_, row)| f64::from(row[minute])).collect();
-    ([board.snapshot().flags, board.forecast(now_ns).flags, person], rooms)
+    ([engine.snapshot().flags, engine.forecast(now_ns).flags, person], rooms)
 }
 
 #[test]
 fn a_forecast_after_a_sentence_in_another_language_stays_in_the_known_room_and_says_so() {
-    let mut board = studio_board(model(64));
-    narrated(&mut board, 1, &["They open the fridge."]);
-    let (flags, known) = narrated(&mut board, 2, &["They close the fridge."]);
+    let mut engine = studio_board(model(64));
+    narrated(&mut engine, 1, &["They open the fridge."]);
+    let (flags, known) = narrated(&mut engine, 2, &["They close the fridge."]);
     assert_eq!(flags, [0; 3]);
     let german = ["Sie gehen ins Wohnzimmer.", "Sie schalten den Fernseher ein.", "Sie nehmen ein Buch aus dem Regal."];
-    let (flags, unfamiliar) = narrated(&mut board, 3, &german);
+    let (flags, unfamiliar) = narrated(&mut engine, 3, &german);
     assert_eq!(flags, [score_flags::UNFAMILIAR, forecast_flags::UNFAMILIAR, person_flags::UNFAMILIAR]);
     let likeliest = |rooms: &[f64]| (0..rooms.len()).max_by(|a, b| rooms[*a].total_cmp(&rooms[*b])).unwrap();
     assert_eq!(likeliest(&unfamiliar), likeliest(&known), "{known:?} {unfamiliar:?}");
     // Known words around it make up for it.
     let english =
         ["They open the cupboard.", "They take a cup.", "They walk to the table.", "They sit down on the chair."];
-    let (flags, _) = narrated(&mut board, 6, &[english, english].concat());
+    let (flags, _) = narrated(&mut engine, 6, &[english, english].concat());
     assert_eq!(flags, [0; 3]);
 }
 
@@ -744,9 +744,9 @@ fn scores_of_a_model_with_random_weights_are_flagged_and_no_part_of_a_forecast()
     let random = load(&reversed(embedded::MODEL));
     let reason = random.info().weakness.clone().unwrap();
     assert!(reason.contains("twelve common things"), "{reason}");
-    let mut board = studio_board(random);
-    let (flags, rooms) = narrated(&mut board, 1, &["They open the fridge.", "They close the fridge."]);
+    let mut engine = studio_board(random);
+    let (flags, rooms) = narrated(&mut engine, 1, &["They open the fridge.", "They close the fridge."]);
     assert_eq!(flags, [score_flags::MODEL_WEAK, forecast_flags::MODEL_WEAK, person_flags::UNFAMILIAR]);
-    let kitchen = board.snapshot().rooms().iter().position(|room| room.id() == "kitchen").unwrap();
+    let kitchen = engine.snapshot().rooms().iter().position(|room| room.id() == "kitchen").unwrap();
     assert!(rooms.iter().all(|p| *p <= rooms[kitchen]), "{rooms:?}");
 }

@@ -249,9 +249,8 @@ fn a_home_that_is_set_up_well_has_no_fault() {
     assert_eq!(finding(&findings, "bridge")["verdict"], "limited");
     // After a day the doctor names the rules that never matched.
     let counts = std::fs::read_dir(home.path("home/state")).unwrap().map(|entry| entry.unwrap().path());
-    let is_counts = |path: &PathBuf| {
-        path.extension().is_some_and(|end| end == "db") && path.to_string_lossy().contains("/rules-")
-    };
+    let is_counts =
+        |path: &PathBuf| path.extension().is_some_and(|end| end == "db") && path.to_string_lossy().contains("/rules-");
     let counts = counts.into_iter().find(is_counts).unwrap();
     let earlier =
         "UPDATE counted SET value = CAST(CAST(value AS INTEGER) - 86400 AS TEXT) WHERE field = 'since_unix_s'";

@@ -23,7 +23,7 @@
 //! - Invented sources take nothing from other narrators.
 //! - If the transport is faithful, all events of living narrators are confirmed in the end.
 //!
-//! The processes are the product's own: [`Account`], [`Intake`], [`Cycle`] with [`Board`], the journal's [`Writer`], [`Planner`].
+//! The processes are the product's own: [`Account`], [`Intake`], [`Cycle`] with [`Engine`], the journal's [`Writer`], [`Planner`].
 //! `ROOMCAST_SEEDS=10000` runs as many seeds, from `ROOMCAST_FIRST_SEED` on. `ROOMCAST_SEED=17` runs one; if it fails, it prints a trace of its last
 //! 60 (or `ROOMCAST_TRACE`) steps.
 
@@ -57,7 +57,7 @@ use roomcast_ipc::raw::{
 use roomcast_services::config::{IntakeLimits, PersonsConfig, PlannerConfig};
 use roomcast_services::daemon::journal::{Record, SCHEMA, Writer};
 use roomcast_services::daemon::{
-    Board, Cycle, Entry, HabitRows, HomeHabits, Intake, Memory, Persons, PersonsFile, Recovered, SentenceCost, Taken,
+    Cycle, Engine, Entry, HabitRows, HomeHabits, Intake, Memory, Persons, PersonsFile, Recovered, SentenceCost, Taken,
     Zone,
 };
 use roomcast_services::narrator::{Account, Item, Who};
@@ -270,9 +270,9 @@ struct Daemon {
     restarted: bool,
 }
 
-/// The board of a daemon that was killed when the journal had all its state, for comparison with the restarted one.
+/// The engine of a daemon that was killed when the journal had all its state, for comparison with the restarted one.
 struct Ghost {
-    board: Board<WholePrompt>,
+    engine: Engine<WholePrompt>,
     accepted: usize,
 }
 
@@ -441,7 +441,7 @@ impl World {
     fn new(seed: u64, planted: Planted) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let persons = rng.random_range(1..=2);
-        // With two persons the window is exact, so that the oracle knows it without the voices.
+        // With two persons the window is exact, so that the oracle knows it without the quotas.
         let slack = if persons == 1 { rng.random_range(0..4) } else { 0 };
         let gap_s = rng.random_range(0..2);
         let history = HistoryLimits { observations: rng.random_range(1..6), slack, gap_s, tokens: TOKENS };
@@ -749,7 +749,7 @@ impl World {
             format!("the counters do not add up: {counted:?}")
         })?;
         match taken {
-            Taken::Accepted { observation, missed, voice, leaves, binds, .. } => {
+            Taken::Accepted { observation, missed, quota, leaves, binds, .. } => {
                 ensure(!observation.event.to_string().contains(FORGED), || {
                     format!("a stranger is heard: {}", observation.event)
                 })?;
@@ -763,7 +763,7 @@ impl World {
                 daemon.records.push_back((record, true));
                 let after_gap = missed > 0;
                 let entry =
-                    Entry { observation: observation.clone(), received_ns: BootNs(now_ns), after_gap, voice, leaves };
+                    Entry { observation: observation.clone(), received_ns: BootNs(now_ns), after_gap, quota, leaves };
                 daemon.queue.push_back((entry, daemon.appended));
                 self.tally.accepted += 1;
                 self.tally.missed += missed;
@@ -806,7 +806,7 @@ impl World {
         let waiting = self.daemon.as_ref().map_or(0, |daemon| daemon.records.len());
         self.hand_over(waiting);
         let Some(daemon) = &mut self.daemon else { return };
-        let habits = daemon.cycle.board_mut().habits_mut();
+        let habits = daemon.cycle.engine_mut().habits_mut();
         let Some(memory) = habits.memory_if_changed() else { return };
         // The next change is written with those that the disk has refused.
         self.tally.habits_written += u64::from(daemon.writer.write_habits(&memory).is_ok());
@@ -832,8 +832,8 @@ impl World {
         let now_ns = self.now_ns;
         let Some(daemon) = self.daemon.as_mut().filter(|_| self.learns) else { return Ok(()) };
         // The next forecast learns the pending observations.
-        daemon.cycle.board_mut().forecast(BootNs(now_ns));
-        let (learned, said) = (daemon.cycle.board().habits().learned().observations as usize, self.lessons.len());
+        daemon.cycle.engine_mut().forecast(BootNs(now_ns));
+        let (learned, said) = (daemon.cycle.engine().habits().learned().observations as usize, self.lessons.len());
         ensure(learned <= said, || format!("{learned} sentences were learned, of {said} that were said"))?;
         // Only residents are learned, and late events are ignored.
         let late = self.accepted.windows(2).any(|pair| pair[1].observed_ns < pair[0].observed_ns);
@@ -919,13 +919,13 @@ impl World {
         }
         let name = NAMES[self.rng.random_range(0..NAMES.len())];
         let Some(daemon) = &mut self.daemon else { return };
-        let board = daemon.cycle.board_mut();
-        let Some(person) = board.persons().find(name) else { return };
+        let engine = daemon.cycle.engine_mut();
+        let Some(person) = engine.persons().find(name) else { return };
         let given = format!("{name} the {}", self.said);
-        board.rename(person, &given).unwrap();
-        self.names = board.persons().file().clone();
+        engine.rename(person, &given).unwrap();
+        self.names = engine.persons().file().clone();
         if let Some(ghost) = &mut self.ghost {
-            ghost.board.rename(person, &given).unwrap();
+            ghost.engine.rename(person, &given).unwrap();
         }
         self.tally.renamed += 1;
         self.note(|| format!("{name} has another name"));
@@ -939,7 +939,7 @@ impl World {
         let failures = self.rng.random_range(0..4);
         let Some(daemon) = &mut self.daemon else { return };
         daemon.map = 1 - daemon.map;
-        daemon.cycle.board_mut().change_map(self.maps[daemon.map].clone()).unwrap();
+        daemon.cycle.engine_mut().change_map(self.maps[daemon.map].clone()).unwrap();
         daemon.cycle.score_again();
         self.failures.set(failures);
         self.tally.map_changes += 1;
@@ -952,20 +952,20 @@ impl World {
         if self.failures.get() > 0 || self.guesses.random_bool(0.5) {
             return;
         }
-        let board = daemon.cycle.board_mut();
-        let persons: Vec<PersonId> = board.pipeline().persons().map(|own| own.person).collect();
+        let engine = daemon.cycle.engine_mut();
+        let persons: Vec<PersonId> = engine.pipeline().persons().map(|own| own.person).collect();
         let waiting = daemon.queue.iter().filter_map(|(entry, _)| entry.observation.sentence());
         let coming = self.narrators.iter().flat_map(|narrator| narrator.wire.front()).map(|message| message.text());
         let guesses = waiting.chain(coming).filter_map(|text| Sentence::new(text).ok());
         // Some answers arrive at once, and some after other steps.
         let late = std::mem::take(&mut daemon.late);
-        late.into_iter().for_each(|answer| board.keep_answer(answer));
-        let outlook = board.now().outlook;
+        late.into_iter().for_each(|answer| engine.keep_answer(answer));
+        let outlook = engine.now().outlook;
         for guess in guesses.take(3) {
             for person in &persons {
                 let Some(ask) = daemon.preparer.ask(&outlook, *person, &guess) else { continue };
                 let answer = daemon.preparer.answer(ask).unwrap();
-                if self.guesses.random_bool(0.2) { daemon.late.push(answer) } else { board.keep_answer(answer) }
+                if self.guesses.random_bool(0.2) { daemon.late.push(answer) } else { engine.keep_answer(answer) }
             }
         }
     }
@@ -986,20 +986,20 @@ impl World {
         if daemon.cycle.step_due(BootNs(now_ns)) {
             match daemon.cycle.step(BootNs(now_ns), UnixNs(unix_ns)) {
                 Ok(()) => {
-                    self.tally.prepared += daemon.cycle.board().pipeline().scores().prepared as u64;
+                    self.tally.prepared += daemon.cycle.engine().pipeline().scores().prepared as u64;
                     daemon.scored = contained;
-                    let read = daemon.cycle.board().pipeline().inside().read_sentences();
+                    let read = daemon.cycle.engine().pipeline().inside().read_sentences();
                     daemon.read = read.map(|(person, sentence)| (person, sentence.to_owned())).collect();
                     daemon.scored_map = daemon.map;
                     self.tally.scored += 1;
                     let Daemon { cycle, records, appended, .. } = daemon;
                     let mut attributed = 0;
-                    cycle.board_mut().tell_moved(|moved| {
+                    cycle.engine_mut().tell_moved(|moved| {
                         *appended += 1;
                         records.push_back((moved.into(), false));
                         attributed = *appended;
                     });
-                    cycle.board_mut().tell_outcomes(|outcome| {
+                    cycle.engine_mut().tell_outcomes(|outcome| {
                         *appended += 1;
                         records.push_back((outcome.into(), false));
                         if outcome.by_fit {
@@ -1029,7 +1029,7 @@ impl World {
         if self.planted == Planted::MapBeforeScores
             && let Some(message) = &mut message
         {
-            message.map_fingerprint = daemon.cycle.board().map().fingerprint();
+            message.map_fingerprint = daemon.cycle.engine().map().fingerprint();
         }
         self.tally.held_back += u64::from(message.is_some() && written < daemon.cycle.scored_record());
         if self.rng.random_bool(0.3) {
@@ -1092,7 +1092,7 @@ impl World {
         }
         // Every entered event is in the histories, as far as their windows reach.
         let entered = &self.accepted[..daemon.entered];
-        for (person, history) in daemon.cycle.board().pipeline().inside().histories().iter() {
+        for (person, history) in daemon.cycle.engine().pipeline().inside().histories().iter() {
             let is_theirs = |o: &&Observation| o.sentence().is_some() && self.person_of(o) == Some(person);
             let said: Vec<_> = entered.iter().filter(is_theirs).map(Observation::id).collect();
             let held: Vec<_> = history.observations().map(Observation::id).collect();
@@ -1121,11 +1121,11 @@ impl World {
         let (now_ns, limits) = (self.now_ns, self.options.history);
         let history = HistoryLimits { observations: 1000, gap_s: 0, ..limits };
         let Some(daemon) = &mut self.daemon else { return Ok(()) };
-        let told = *daemon.cycle.board_mut().person_scores(BootNs(now_ns));
-        let forecast = *daemon.cycle.board_mut().forecast(BootNs(now_ns));
-        let forecasts = *daemon.cycle.board_mut().person_forecasts(BootNs(now_ns));
+        let told = *daemon.cycle.engine_mut().person_scores(BootNs(now_ns));
+        let forecast = *daemon.cycle.engine_mut().forecast(BootNs(now_ns));
+        let forecasts = *daemon.cycle.engine_mut().person_forecasts(BootNs(now_ns));
         let (map, scored, all_read) = (daemon.scored_map, daemon.scored, daemon.read.clone());
-        self.was_joint |= daemon.cycle.board().is_joint();
+        self.was_joint |= daemon.cycle.engine().is_joint();
         let is_joint = self.was_joint;
         for checked in [told.check(), forecast.check(), forecasts.check(), message.check()] {
             checked.map_err(|error| format!("a message is malformed: {error}"))?;
@@ -1255,12 +1255,12 @@ impl World {
         if !std::mem::take(&mut daemon.restarted) {
             return Ok(());
         }
-        let forecast = *daemon.cycle.board_mut().forecast(BootNs(now_ns));
-        let told = *daemon.cycle.board_mut().person_scores(BootNs(now_ns));
+        let forecast = *daemon.cycle.engine_mut().forecast(BootNs(now_ns));
+        let told = *daemon.cycle.engine_mut().person_scores(BootNs(now_ns));
         let is_told = |who: &String| told.persons().iter().any(|person| person.person == number_of(who).0);
         let someone = told.persons().iter().any(|person| person.presence == presence::PRESENT);
         // An empty home is known only if each resident was observed.
-        let known = daemon.cycle.board().snapshot().persons > 0 && (someone || self.residents.iter().all(is_told));
+        let known = daemon.cycle.engine().snapshot().persons > 0 && (someone || self.residents.iter().all(is_told));
         ensure(forecast.has(forecast_flags::NOT_KNOWN) != known, || {
             format!("the first forecast after a start has the flags {}", forecast.flags)
         })?;
@@ -1269,14 +1269,14 @@ impl World {
         if ghost.accepted != daemon.scored || daemon.scored_map != 0 || failing {
             return Ok(());
         }
-        ghost.board.step([], BootNs(now_ns), UnixNs(unix_ns)).unwrap();
-        let is_joint = self.was_joint || ghost.board.is_joint();
-        let before = *ghost.board.person_forecasts(BootNs(now_ns));
-        let after = *daemon.cycle.board_mut().person_forecasts(BootNs(now_ns));
+        ghost.engine.step([], BootNs(now_ns), UnixNs(unix_ns)).unwrap();
+        let is_joint = self.was_joint || ghost.engine.is_joint();
+        let before = *ghost.engine.person_forecasts(BootNs(now_ns));
+        let after = *daemon.cycle.engine_mut().person_forecasts(BootNs(now_ns));
         // The senders of restored events are unknown, so their windows may be cut differently.
-        let same_windows = ghost.board.pipeline().inside().read_sentences().eq(daemon
+        let same_windows = ghost.engine.pipeline().inside().read_sentences().eq(daemon
             .cycle
-            .board()
+            .engine()
             .pipeline()
             .inside()
             .read_sentences());
@@ -1353,7 +1353,7 @@ impl World {
         let accepted = self.accepted.len();
         // Beliefs from another map concern other rooms.
         let ghost =
-            (whole && self.tally.map_changes == 0).then(|| Ghost { board: daemon.cycle.into_board(), accepted });
+            (whole && self.tally.map_changes == 0).then(|| Ghost { engine: daemon.cycle.into_board(), accepted });
         self.ghost = ghost;
         for lost in self.accepted.split_off(kept) {
             let name = lost.id();
@@ -1435,9 +1435,10 @@ impl World {
         let names =
             if self.planted == Planted::NoNamesAfterRestart { PersonsFile::default() } else { self.names.clone() };
         let persons = Persons::new(config, names);
-        let board = Board::new(pipeline, self.maps[0].clone(), GROUNDING, self.epoch()).unwrap().with_persons(persons);
-        let board = board.with_habits(HomeHabits::new(self.memory(), Zone::UTC));
-        let mut cycle = Cycle::new(board, HEARTBEAT_NS);
+        let engine =
+            Engine::new(pipeline, self.maps[0].clone(), GROUNDING, self.epoch()).unwrap().with_persons(persons);
+        let engine = engine.with_habits(HomeHabits::new(self.memory(), Zone::UTC));
+        let mut cycle = Cycle::new(engine, HEARTBEAT_NS);
         let mut intake = Intake::new(IntakeLimits::default());
         if self.planted != Planted::NoCost {
             intake = intake.with_cost(SentenceCost::new(Arc::new(str::len), Arc::new(TOKENS.into())));
@@ -1486,11 +1487,11 @@ impl World {
         }
         let costly = cycle.restore(recovered, known, BootNs(self.now_ns), UnixNs(self.unix_ns));
         ensure(costly == 0, || format!("{costly} sentences of the journal cannot be scored"))?;
-        let learned = cycle.board().habits().learned().observations as usize;
+        let learned = cycle.engine().habits().learned().observations as usize;
         let said = self.lessons.len();
         ensure(learned <= said, || format!("{learned} sentences were learned, of {said} that were said"))?;
         let (queue, records) = Default::default();
-        let preparer = cycle.board().pipeline().inside().preparer(Arc::new(|| false)).unwrap().unwrap();
+        let preparer = cycle.engine().pipeline().inside().preparer(Arc::new(|| false)).unwrap().unwrap();
         self.daemon = Some(Daemon {
             intake,
             cycle,

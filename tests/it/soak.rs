@@ -13,7 +13,7 @@ use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_ipc::raw::{DecisionV1, NarrationV1, RoomScoresV1, narration_kind};
 use roomcast_ipc::{Domain, Sender, clock, sequence};
 use roomcast_services::config::{IntakeLimits, PlannerConfig};
-use roomcast_services::daemon::{Board, Cycle, Entry, Intake, Journal, JournalOptions, Taken, journal};
+use roomcast_services::daemon::{Cycle, Engine, Entry, Intake, Journal, JournalOptions, Taken, journal};
 use roomcast_services::narrator::{Account, Item, Who};
 use roomcast_services::no_model::NoModel;
 use roomcast_services::planner::Planner;
@@ -66,7 +66,7 @@ fn memory_and_descriptors_stay_flat() {
     let map = setup::load_map(None).unwrap();
     let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
     let pipeline = Pipeline::new(NoModel::default(), grounding, PipelineOptions::default()).unwrap();
-    let mut cycle = Cycle::new(Board::new(pipeline, map, GroundingOptions::default(), 1).unwrap(), 250_000_000);
+    let mut cycle = Cycle::new(Engine::new(pipeline, map, GroundingOptions::default(), 1).unwrap(), 250_000_000);
     let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
     // So small that the oldest events are deleted within the first tenth: memory for the deletion does not count as growth.
     let options = JournalOptions { directory: directory.path().join("state"), bytes_max: 1 << 17, sync_ms: 1000 };

@@ -16,19 +16,19 @@ pub const KEPT_NS: u64 = 600_000_000_000;
 
 /// The owner of an observation in a window that several narrators fill.
 ///
-/// While one voice speaks alone, the oldest observation leaves a full window. Otherwise the voice that holds most for its share loses its
-/// oldest: most places where these are too many, most tokens where these are. So each voice keeps its observations of the last [`KEPT_NS`],
+/// While one quota speaks alone, the oldest observation leaves a full window. Otherwise the quota that holds most for its share loses its
+/// oldest: most places where these are too many, most tokens where these are. So each quota keeps its observations of the last [`KEPT_NS`],
 /// up to its share of the places and of the tokens, however much the others say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Voice {
+pub struct Quota {
     /// Its number.
     pub number: u64,
-    /// Its places for each place of a voice of share 1; at least 1.
+    /// Its places for each place of a quota of share 1; at least 1.
     pub share: u32,
 }
 
-impl Voice {
-    /// The voice of all observations from before a restart: the window keeps no places for it.
+impl Quota {
+    /// The quota of all observations from before a restart: the window keeps no places for it.
     pub const EARLIER: Self = Self { number: 0, share: 1 };
 
     /// A source with a share of 1, if the configuration does not name it.
@@ -83,19 +83,19 @@ impl HistoryLimits {
 struct Held {
     observation: Observation,
     tokens: usize,
-    voice: Voice,
+    quota: Quota,
 }
 
 /// The window of one person. Observations enter at the end and leave whole: at the front, or where a narrator holds more than its share
-/// ([`Voice`]).
+/// ([`Quota`]).
 #[derive(Debug, Clone)]
 pub struct History {
     limits: HistoryLimits,
     window: VecDeque<Held>,
     tokens: usize,
     left: u64,
-    /// Working memory of a cut: each voice, its places or tokens, and the place of its oldest observation.
-    voices: Vec<(Voice, u64, usize)>,
+    /// Working memory of a cut: each quota, its places or tokens, and the place of its oldest observation.
+    quotas: Vec<(Quota, u64, usize)>,
 }
 
 /// The limit that a window exceeds.
@@ -110,33 +110,33 @@ impl History {
     #[must_use]
     pub fn new(limits: HistoryLimits) -> Self {
         let limits = HistoryLimits { observations: limits.observations.max(1), ..limits };
-        Self { limits, window: VecDeque::new(), tokens: 0, left: 0, voices: Vec::new() }
+        Self { limits, window: VecDeque::new(), tokens: 0, left: 0, quotas: Vec::new() }
     }
 
-    /// Appends an observation of its source's own voice; see [`History::hear`].
+    /// Appends an observation of its source's own quota; see [`History::hear`].
     pub fn push(&mut self, observation: Observation, tokens: usize) -> usize {
-        let voice = Voice::of_source(observation.source);
-        self.hear(observation, voice, tokens)
+        let quota = Quota::of_source(observation.source);
+        self.hear(observation, quota, tokens)
     }
 
     /// Appends an observation with a sentence of `tokens` tokens; without a tokeniser its length in bytes is a safe bound.
-    /// Gives how many observations left the window, this one included when it costs more than the window holds, or more than its voice's
+    /// Gives how many observations left the window, this one included when it costs more than the window holds, or more than its quota's
     /// share of one that is full.
-    pub fn hear(&mut self, observation: Observation, voice: Voice, tokens: usize) -> usize {
+    pub fn hear(&mut self, observation: Observation, quota: Quota, tokens: usize) -> usize {
         if tokens > self.limits.tokens {
             return 1;
         }
         // A late observation begins no window if another observation of that time is there.
         let apart = self.window.iter().filter_map(|held| observation.seconds_after(&held.observation)).reduce(f64::min);
         let ended = if apart.is_some_and(|seconds| self.limits.is_gap(seconds)) { self.end() } else { 0 };
-        self.window.push_back(Held { observation, tokens, voice });
+        self.window.push_back(Held { observation, tokens, quota });
         self.tokens = self.tokens.saturating_add(tokens);
         ended + self.cut()
     }
 
-    /// The newest observation, and the voice that it was heard as.
-    pub(crate) fn newest(&self) -> Option<(Observation, Voice)> {
-        self.window.back().map(|held| (held.observation.clone(), held.voice))
+    /// The newest observation, and the quota that it was heard as.
+    pub(crate) fn newest(&self) -> Option<(Observation, Quota)> {
+        self.window.back().map(|held| (held.observation.clone(), held.quota))
     }
 
     /// Empties the window: the next observation does not follow from it. Gives how many observations left.
@@ -158,9 +158,9 @@ impl History {
         left
     }
 
-    /// From here on the window keeps its observations for no voice.
-    fn forget_voices(&mut self) {
-        self.window.iter_mut().for_each(|held| held.voice = Voice::EARLIER);
+    /// From here on the window keeps its observations for no quota.
+    fn forget_quotas(&mut self) {
+        self.window.iter_mut().for_each(|held| held.quota = Quota::EARLIER);
     }
 
     /// Sets how many tokens the window may hold, and cuts it at once if it holds more.
@@ -205,43 +205,43 @@ impl History {
         }
     }
 
-    /// The observation that leaves next: an expired one, else the oldest of the voice that holds most for its share. The newest leaves only if
+    /// The observation that leaves next: an expired one, else the oldest of the quota that holds most for its share. The newest leaves only if
     /// it alone has more tokens than that share: otherwise a long sentence would remove all others.
     fn next_to_leave(&mut self, excess: Excess) -> usize {
-        let Some(first) = self.window.front().map(|held| held.voice) else { return 0 };
-        if self.window.iter().all(|held| held.voice.number == first.number) {
+        let Some(first) = self.window.front().map(|held| held.quota) else { return 0 };
+        if self.window.iter().all(|held| held.quota.number == first.number) {
             return 0;
         }
         let observed_ns = |held: &Held| held.observation.observed_ns;
         let newest_ns = self.window.iter().map(observed_ns).max().unwrap_or_default();
         let others = self.window.len() - 1;
-        let expired = |held: &Held| held.voice == Voice::EARLIER || newest_ns.since(observed_ns(held)) > KEPT_NS;
+        let expired = |held: &Held| held.quota == Quota::EARLIER || newest_ns.since(observed_ns(held)) > KEPT_NS;
         if let Some(place) = self.window.iter().take(others).position(expired) {
             return place;
         }
-        self.voices.clear();
+        self.quotas.clear();
         for (place, held) in self.window.iter().enumerate() {
             let holds = if excess == Excess::Places { 1 } else { held.tokens as u64 };
-            match self.voices.iter_mut().find(|(voice, ..)| voice.number == held.voice.number) {
+            match self.quotas.iter_mut().find(|(quota, ..)| quota.number == held.quota.number) {
                 Some((_, held, _)) => *held = held.saturating_add(holds),
-                None => self.voices.push((held.voice, holds, place)),
+                None => self.quotas.push((held.quota, holds, place)),
             }
         }
-        let mut most: Option<(Voice, u64, usize)> = None;
+        let mut most: Option<(Quota, u64, usize)> = None;
         let may_leave = |oldest: usize| excess == Excess::Tokens || oldest < others;
-        for &(voice, held, oldest) in self.voices.iter().filter(|(.., oldest)| may_leave(*oldest)) {
+        for &(quota, held, oldest) in self.quotas.iter().filter(|(.., oldest)| may_leave(*oldest)) {
             // Of equal ones, the one that spoke first.
-            let more = |(than, most, _): &(Voice, u64, usize)| {
-                held.saturating_mul(u64::from(than.share.max(1))) > most.saturating_mul(u64::from(voice.share.max(1)))
+            let more = |(than, most, _): &(Quota, u64, usize)| {
+                held.saturating_mul(u64::from(than.share.max(1))) > most.saturating_mul(u64::from(quota.share.max(1)))
             };
             if most.as_ref().is_none_or(more) {
-                most = Some((voice, held, oldest));
+                most = Some((quota, held, oldest));
             }
         }
         most.map_or(0, |(.., oldest)| oldest)
     }
 
-    /// How many observations leave with the next cut, and how many more arrive until then, if one voice speaks and the tokens suffice. `None` while
+    /// How many observations leave with the next cut, and how many more arrive until then, if one quota speaks and the tokens suffice. `None` while
     /// the window has places for longer.
     pub(crate) fn next_cut(&self) -> Option<(usize, usize)> {
         let over = self.limits.observations.saturating_add(self.limits.slack).saturating_add(1);
@@ -301,17 +301,17 @@ impl Histories {
 
     /// Appends to the history of the observation's person; see [`History::push`].
     pub fn push(&mut self, observation: Observation, tokens: usize) -> usize {
-        let voice = Voice::of_source(observation.source);
-        self.hear(observation, voice, tokens)
+        let quota = Quota::of_source(observation.source);
+        self.hear(observation, quota, tokens)
     }
 
-    /// Appends an observation of a voice; see [`History::hear`].
-    pub fn hear(&mut self, observation: Observation, voice: Voice, tokens: usize) -> usize {
+    /// Appends an observation of a quota; see [`History::hear`].
+    pub fn hear(&mut self, observation: Observation, quota: Quota, tokens: usize) -> usize {
         if tokens > self.limits.tokens {
             // It must not make room for its person either.
             return 1;
         }
-        self.known(observation.person).hear(observation, voice, tokens)
+        self.known(observation.person).hear(observation, quota, tokens)
     }
 
     /// The history of a person; a new one if there is none.
@@ -357,9 +357,9 @@ impl Histories {
         self.by_person.values_mut().for_each(|(_, history)| history.limit_tokens(tokens));
     }
 
-    /// All present observations are from before a restart; see [`Voice`].
-    pub(crate) fn forget_voices(&mut self) {
-        self.by_person.values_mut().for_each(|(_, history)| history.forget_voices());
+    /// All present observations are from before a restart; see [`Quota`].
+    pub(crate) fn forget_quotas(&mut self) {
+        self.by_person.values_mut().for_each(|(_, history)| history.forget_quotas());
     }
 
     /// Forgets a person, such as a visitor that has left.
@@ -512,7 +512,7 @@ mod tests {
     #[test]
     fn a_larger_share_keeps_more_places() {
         let mut history = History::new(HistoryLimits::exact(12));
-        let (named, other) = (Voice { number: 1, share: 3 }, Voice { number: 2, share: 1 });
+        let (named, other) = (Quota { number: 1, share: 3 }, Quota { number: 2, share: 1 });
         for n in 0..12 {
             history.hear(said(1, n), named, 5);
         }
@@ -522,9 +522,9 @@ mod tests {
         assert_eq!(sources(&history).iter().filter(|source| **source == 1).count(), 9);
         // After a restart the oldest go first.
         let before = sequences(&history);
-        history.forget_voices();
+        history.forget_quotas();
         for n in 100..105 {
-            history.hear(said(3, n), Voice::of_source(3), 5);
+            history.hear(said(3, n), Quota::of_source(3), 5);
         }
         assert_eq!(sequences(&history)[..7], before[5..]);
     }
@@ -567,44 +567,44 @@ mod tests {
             }
         }
 
-        /// However the others flood, and with however long sentences, a voice keeps its newest observations up to its share of the places, less
+        /// However the others flood, and with however long sentences, a quota keeps its newest observations up to its share of the places, less
         /// one for the rounding, and of the tokens that a cut leaves.
         #[test]
         fn a_voice_keeps_its_share(
-            observations in 1usize..20, slack in 0usize..6, tokens in 1usize..300, voices in 2u64..5,
+            observations in 1usize..20, slack in 0usize..6, tokens in 1usize..300, quotas in 2u64..5,
             said_by in prop::collection::vec((0u64..5, 1usize..400), 1..200),
         ) {
             let mut history = History::new(HistoryLimits { observations, slack, tokens, gap_s: 0 });
-            for (i, (voice, cost)) in said_by.iter().enumerate() {
-                history.push(said(1 + voice % voices, i as u64), *cost);
+            for (i, (quota, cost)) in said_by.iter().enumerate() {
+                history.push(said(1 + quota % quotas, i as u64), *cost);
             }
             let left_by_a_cut = tokens * observations / (observations + slack);
-            for voice in 0..voices {
-                let own = |(i, (by, cost)): (u64, &(u64, usize))| (by % voices == voice && *cost <= tokens).then_some((i, *cost));
+            for quota in 0..quotas {
+                let own = |(i, (by, cost)): (u64, &(u64, usize))| (by % quotas == quota && *cost <= tokens).then_some((i, *cost));
                 let own: Vec<(u64, usize)> = (0..).zip(&said_by).filter_map(own).collect();
                 let mut sum = 0;
-                let due = own.iter().rev().take(observations / voices as usize);
-                let due: Vec<u64> = due.take_while(|(_, cost)| { sum += cost; sum * voices as usize <= left_by_a_cut }).map(|(i, _)| *i).collect();
-                let held: Vec<u64> = history.observations().filter(|o| o.source == 1 + voice).map(|o| o.sequence).collect();
+                let due = own.iter().rev().take(observations / quotas as usize);
+                let due: Vec<u64> = due.take_while(|(_, cost)| { sum += cost; sum * quotas as usize <= left_by_a_cut }).map(|(i, _)| *i).collect();
+                let held: Vec<u64> = history.observations().filter(|o| o.source == 1 + quota).map(|o| o.sequence).collect();
                 prop_assert!(due.iter().all(|due| held.contains(due)), "{held:?} of {own:?}, due {due:?}");
             }
         }
 
-        /// Of short sentences each voice keeps its newest.
+        /// Of short sentences each quota keeps its newest.
         #[test]
         fn a_voice_keeps_its_newest(
-            observations in 1usize..20, slack in 0usize..6, voices in 2u64..5,
+            observations in 1usize..20, slack in 0usize..6, quotas in 2u64..5,
             said_by in prop::collection::vec(0u64..5, 1..200),
         ) {
             let mut history = History::new(HistoryLimits { observations, slack, tokens: 10_000, gap_s: 0 });
-            for (i, voice) in said_by.iter().enumerate() {
-                history.push(said(1 + voice % voices, i as u64), 5);
+            for (i, quota) in said_by.iter().enumerate() {
+                history.push(said(1 + quota % quotas, i as u64), 5);
             }
-            for voice in 0..voices {
-                let own: Vec<u64> = (0..).zip(&said_by).filter(|(_, by)| **by % voices == voice).map(|(i, _)| i).collect();
-                let held: Vec<u64> = history.observations().filter(|o| o.source == 1 + voice).map(|o| o.sequence).collect();
+            for quota in 0..quotas {
+                let own: Vec<u64> = (0..).zip(&said_by).filter(|(_, by)| **by % quotas == quota).map(|(i, _)| i).collect();
+                let held: Vec<u64> = history.observations().filter(|o| o.source == 1 + quota).map(|o| o.sequence).collect();
                 prop_assert!(own.ends_with(&held), "{own:?} {held:?}");
-                let share = observations / voices as usize;
+                let share = observations / quotas as usize;
                 prop_assert!(held.len() >= own.len().min(share), "{held:?} of {own:?}, a share of {share}");
             }
         }

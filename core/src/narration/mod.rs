@@ -20,7 +20,7 @@ mod sensor;
 
 pub use action::{Action, ActionEntry, ActionError, LINE_BYTES_MAX, ObjectRef, table as action_table};
 pub use event::{Event, Presence, PresenceError, RoomName};
-pub use history::{Histories, History, HistoryLimits, PERSONS_MAX, Voice};
+pub use history::{Histories, History, HistoryLimits, PERSONS_MAX, Quota};
 pub use person::{
     PERSON_NAME_BYTES_MAX, ReadName, check_name, is_number, name_words, person_number, same_but_for_accents, same_name,
 };

@@ -6,7 +6,7 @@ use super::person::Person;
 use super::scores::{Included, Scores};
 use crate::ids::{BootNs, EventId};
 use crate::narration::Observation;
-use crate::narration::history::Voice;
+use crate::narration::history::Quota;
 
 /// Most source starts in [`Scores::included`]; a new one replaces the one heard longest ago.
 pub const SOURCES_MAX: usize = 64;
@@ -53,7 +53,7 @@ impl Sources {
         self.note(event.source, event.epoch, |included| included.sequence = included.sequence.max(event.sequence));
     }
 
-    pub(super) fn include(&mut self, observation: &Observation, voice: Voice) {
+    pub(super) fn include(&mut self, observation: &Observation, quota: Quota) {
         let settled = self.settled_of(observation.source, observation.epoch);
         let observed_ns = observation.observed_ns;
         self.newest_observed_ns = self.newest_observed_ns.max(observed_ns);
@@ -63,7 +63,7 @@ impl Sources {
             // A later event that was refused may have raised the sequence already.
             included.sequence = included.sequence.max(observation.sequence);
             included.accepted += u64::from(observation.sequence > settled);
-            (included.observed_ns, included.voice, included.turn) = (observed_ns, voice.number, turn);
+            (included.observed_ns, included.quota, included.turn) = (observed_ns, quota.number, turn);
         });
     }
 
@@ -94,7 +94,7 @@ impl Sources {
             self.starts.len() - 1
         });
         let heard = &mut self.starts[place];
-        let none = Included { source, epoch, sequence: 0, observed_ns: BootNs(0), accepted, voice: 0, turn: 0 };
+        let none = Included { source, epoch, sequence: 0, observed_ns: BootNs(0), accepted, quota: 0, turn: 0 };
         let mut newest = heard.newest().copied().unwrap_or(none);
         change(&mut newest);
         if heard.trail.len() >= TRAIL_MAX {

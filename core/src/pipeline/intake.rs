@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Pipeline, Voice};
+use super::{Pipeline, Quota};
 use crate::ids::{EventId, PersonId};
 use crate::narration::Observation;
 use crate::scorer::LanguageModel;
@@ -12,33 +12,33 @@ use crate::scorer::LanguageModel;
 pub struct Intake<'a, M>(pub(super) &'a mut Pipeline<M>);
 
 impl<M: LanguageModel> Intake<'_, M> {
-    /// Adds observations to the histories without scoring; each source is its own voice. It cannot fail, and a later failure of scoring loses no
+    /// Adds observations to the histories without scoring; each source is its own quota. It cannot fail, and a later failure of scoring loses no
     /// observation. Persons who leave home lose their window; persons reported as gone are forgotten. Returns the number of sentences that were left
     /// out because each takes more tokens than a window holds.
     pub fn observe(&mut self, observations: impl IntoIterator<Item = Observation>) -> usize {
-        self.hear(observations.into_iter().map(|observation| (Voice::of_source(observation.source), observation)))
+        self.hear(observations.into_iter().map(|observation| (Quota::of_source(observation.source), observation)))
     }
 
-    /// As [`Intake::observe`], with a voice per observation.
-    pub fn hear(&mut self, observations: impl IntoIterator<Item = (Voice, Observation)>) -> usize {
+    /// As [`Intake::observe`], with a quota per observation.
+    pub fn hear(&mut self, observations: impl IntoIterator<Item = (Quota, Observation)>) -> usize {
         let mut costly = 0;
-        for (voice, observation) in observations {
+        for (quota, observation) in observations {
             let tokens = observation.sentence().map(|text| self.0.scorer.cost_of(text));
             if tokens.is_some_and(|tokens| tokens > self.0.options.history.tokens) {
                 costly += 1;
                 self.pass_over(observation.id());
                 continue;
             }
-            self.include(&observation, voice);
-            self.0.enter_of(voice, observation, tokens);
+            self.include(&observation, quota);
+            self.0.enter_of(quota, observation, tokens);
         }
         costly
     }
 
     /// Adds an observation to its person's history. Scores do not count it as included: see [`Intake::include`].
-    pub fn enter(&mut self, voice: Voice, observation: Observation) {
+    pub fn enter(&mut self, quota: Quota, observation: Observation) {
         let tokens = observation.sentence().map(|text| self.0.scorer.cost_of(text));
-        self.0.enter_of(voice, observation, tokens);
+        self.0.enter_of(quota, observation, tokens);
     }
 
     /// Whether a sentence alone takes more tokens than a window holds.
@@ -48,12 +48,12 @@ impl<M: LanguageModel> Intake<'_, M> {
         observation.sentence().is_some_and(|text| text.len() + 2 > most && self.0.scorer.cost_of(text) > most)
     }
 
-    /// Attributes all observations so far to a former run, with unknown voices. Among waiting persons, the one with the newest observation is scored
+    /// Attributes all observations so far to a former run, with unknown quotas. Among waiting persons, the one with the newest observation is scored
     /// first.
-    pub fn forget_voices(&mut self) {
-        self.0.histories.forget_voices();
+    pub fn forget_quotas(&mut self) {
+        self.0.histories.forget_quotas();
         for own in &mut self.0.persons {
-            own.unscored.iter_mut().for_each(|unscored| unscored.voice = Voice::EARLIER.number);
+            own.unscored.iter_mut().for_each(|unscored| unscored.quota = Quota::EARLIER.number);
             own.waits_from = u64::MAX - own.waits_until;
         }
     }
@@ -74,8 +74,8 @@ impl<M: LanguageModel> Intake<'_, M> {
     }
 
     /// Counts an observation as included in the next scores, for any number of persons.
-    pub fn include(&mut self, observation: &Observation, voice: Voice) {
-        self.0.heard.include(observation, voice);
+    pub fn include(&mut self, observation: &Observation, quota: Quota) {
+        self.0.heard.include(observation, quota);
     }
 
     /// Sets the last sequence per (source, epoch) that a former run handled. All events up to it count as accepted.

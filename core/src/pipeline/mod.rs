@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 use crate::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions, Regrouped};
 use crate::ids::PersonId;
-use crate::narration::history::{Histories, HistoryLimits, Voice};
+use crate::narration::history::{Histories, HistoryLimits, Quota};
 use crate::narration::{Observation, Presence};
 use crate::prepared::PreparedAnswers;
 use crate::prompt::BindingSequence;
@@ -29,8 +29,8 @@ use heard::Sources;
 use person::{Due, Person, Unscored};
 use scores::together;
 
-mod ahead;
 mod heard;
+mod idle;
 mod inside;
 mod intake;
 mod person;
@@ -38,8 +38,8 @@ mod scores;
 #[cfg(test)]
 mod tests;
 
-pub use ahead::Ahead;
 pub use heard::SOURCES_MAX;
+pub use idle::Idle;
 pub use inside::Inside;
 pub use intake::Intake;
 pub use scores::{Included, PersonScores, Scores, Timing};
@@ -133,7 +133,7 @@ pub struct Pipeline<M> {
     /// Number of groundings so far; numbers the persons' scores.
     groundings: u64,
     heard: Sources,
-    /// Tokens decoded per voice with waiting persons, and the count of the voice that was served last.
+    /// Tokens decoded per quota with waiting persons, and the count of the quota that was served last.
     given: BTreeMap<u64, u64>,
     given_last: u64,
     answers: PreparedAnswers,
@@ -192,8 +192,8 @@ impl<M: LanguageModel> Pipeline<M> {
     }
 
     /// Prefetching and idle-time work.
-    pub fn ahead(&mut self) -> Ahead<'_, M> {
-        Ahead(self)
+    pub fn idle(&mut self) -> Idle<'_, M> {
+        Idle(self)
     }
 
     /// Read access to the pipeline's parts.
@@ -257,7 +257,7 @@ impl<M: LanguageModel> Pipeline<M> {
         self.prepared.gain_nats().get(label).map_or(0.0, |gain_nats| gain_nats + person.scores.scale_nats)
     }
 
-    fn enter_of(&mut self, voice: Voice, observation: Observation, tokens: Option<usize>) {
+    fn enter_of(&mut self, quota: Quota, observation: Observation, tokens: Option<usize>) {
         let (person, presence) = (observation.person, observation.event.person_presence());
         let Observation { source, epoch, sequence, .. } = observation;
         if presence == Presence::Gone {
@@ -268,7 +268,7 @@ impl<M: LanguageModel> Pipeline<M> {
         let history = self.histories.known(person);
         let changed = match tokens {
             Some(tokens) => {
-                history.hear(observation, voice, tokens);
+                history.hear(observation, quota, tokens);
                 true
             }
             None => !at_home && history.end() > 0,
@@ -295,7 +295,7 @@ impl<M: LanguageModel> Pipeline<M> {
             }
         }
         if own.due != Due::Nothing && !own.unscored.iter().any(|known| (known.source, known.epoch) == (source, epoch)) {
-            own.unscored.push(Unscored { source, epoch, sequence, voice: voice.number });
+            own.unscored.push(Unscored { source, epoch, sequence, quota: quota.number });
         }
         self.persons.retain(|p| self.histories.get(p.id).is_some());
     }
@@ -312,7 +312,7 @@ impl<M: LanguageModel> Pipeline<M> {
     /// As [`Pipeline::score`], but stops asking the model after `patience_ns`; the next call continues ([`Inside::is_behind`]). At least one waiting
     /// person is scored.
     ///
-    /// The voice for which the model has decoded least comes next, and of its persons the one that has waited longest. So a narrator with many
+    /// The quota for which the model has decoded least comes next, and of its persons the one that has waited longest. So a narrator with many
     /// persons delays another narrator's person by at most one call: `patience_ns` and one prompt.
     ///
     /// # Errors
@@ -331,7 +331,7 @@ impl<M: LanguageModel> Pipeline<M> {
             asked?;
         }
         while !self.scores.is_cut
-            && let Some((place, voice)) = self.next_person()
+            && let Some((place, quota)) = self.next_person()
         {
             if self.scores.asked > 0 && now().saturating_sub(start) >= patience_ns {
                 break;
@@ -344,8 +344,8 @@ impl<M: LanguageModel> Pipeline<M> {
             let stats = self.scores.stats;
             let given = (stats.prompt_tokens_decoded - before.prompt_tokens_decoded)
                 + (stats.tree_tokens_decoded - before.tree_tokens_decoded);
-            self.given_last = self.given_of(voice);
-            self.given.insert(voice, self.given_last + u64::from(given));
+            self.given_last = self.given_of(quota);
+            self.given.insert(quota, self.given_last + u64::from(given));
         }
         let grounding = now();
         let persons = match self.persons.as_mut_slice() {
@@ -363,7 +363,7 @@ impl<M: LanguageModel> Pipeline<M> {
         self.heard.tell(&self.persons, &mut self.scores);
         let persons = &self.persons;
         self.given
-            .retain(|voice, _| persons.iter().any(|own| own.waits() && own.voices().any(|other| other == *voice)));
+            .retain(|quota, _| persons.iter().any(|own| own.waits() && own.quotas().any(|other| other == *quota)));
         timing.ground_ns = now().saturating_sub(grounding);
         timing.total_ns = now().saturating_sub(start);
         self.scores.timing = timing;
@@ -378,16 +378,16 @@ impl<M: LanguageModel> Pipeline<M> {
         is_late && waiting.peek().is_some() && waiting.all(Person::is_scored)
     }
 
-    /// Tokens decoded for a voice. A voice that was not waiting starts at the count of the voice that was served last.
-    fn given_of(&self, voice: u64) -> u64 {
-        self.given.get(&voice).copied().unwrap_or(self.given_last)
+    /// Tokens decoded for a quota. A quota that was not waiting starts at the count of the quota that was served last.
+    fn given_of(&self, quota: u64) -> u64 {
+        self.given.get(&quota).copied().unwrap_or(self.given_last)
     }
 
-    /// The next person to score (index), and the voice it is scored for.
+    /// The next person to score (index), and the quota it is scored for.
     fn next_person(&self) -> Option<(usize, u64)> {
         let waiting = self.persons.iter().enumerate().filter(|(_, own)| own.waits());
-        let ways = waiting.flat_map(|(place, own)| own.voices().map(move |voice| (place, voice)));
-        ways.min_by_key(|(place, voice)| (self.given_of(*voice), self.persons[*place].waits_from, *place))
+        let ways = waiting.flat_map(|(place, own)| own.quotas().map(move |quota| (place, quota)));
+        ways.min_by_key(|(place, quota)| (self.given_of(*quota), self.persons[*place].waits_from, *place))
     }
 
     /// Scores one person, in a step that began at `start` (nanoseconds).

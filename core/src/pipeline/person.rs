@@ -3,7 +3,7 @@
 use super::PipelineOptions;
 use crate::grounding::{GroundedScores, Grounding, GroundingError};
 use crate::ids::PersonId;
-use crate::narration::history::{History, Voice};
+use crate::narration::history::{History, Quota};
 use crate::prompt::write_prompt;
 use crate::scorer::certified::{Bounds, Certified, Effort};
 use crate::scorer::{LabelScores, Tokenisation};
@@ -24,7 +24,7 @@ pub(super) struct Unscored {
     pub(super) source: u64,
     pub(super) epoch: u64,
     pub(super) sequence: u64,
-    pub(super) voice: u64,
+    pub(super) quota: u64,
 }
 
 #[derive(Debug)]
@@ -84,10 +84,10 @@ impl Person {
         !self.grounded.partition_probability.is_empty()
     }
 
-    /// The voices of the unscored events. [`Voice::EARLIER`] if the scores changed by time alone.
-    pub(super) fn voices(&self) -> impl Iterator<Item = u64> {
-        let of_none = self.unscored.is_empty().then_some(Voice::EARLIER.number);
-        self.unscored.iter().map(|own| own.voice).chain(of_none)
+    /// The quotas of the unscored events. [`Quota::EARLIER`] if the scores changed by time alone.
+    pub(super) fn quotas(&self) -> impl Iterator<Item = u64> {
+        let of_none = self.unscored.is_empty().then_some(Quota::EARLIER.number);
+        self.unscored.iter().map(|own| own.quota).chain(of_none)
     }
 
     /// Marks the person for scoring; `turn` is the turn of the newest event.

@@ -19,8 +19,8 @@ pub struct Included {
     pub observed_ns: BootNs,
     /// Number of events of this epoch in the histories.
     pub accepted: u64,
-    /// Number of the event's voice ([`crate::narration::history::Voice`]).
-    pub voice: u64,
+    /// Number of the event's quota ([`crate::narration::history::Quota`]).
+    pub quota: u64,
     /// Increases with every event of any source.
     pub turn: u64,
 }
@@ -72,7 +72,7 @@ pub struct Scores {
     pub prompt_tokens: usize,
     /// Prompts scored in this step.
     pub asked: usize,
-    /// Prompts answered by prefetched answers ([`super::Ahead::keep_answer`]).
+    /// Prompts answered by prefetched answers ([`super::Idle::keep_answer`]).
     pub prepared: usize,
     /// Cost of decoding in this step.
     pub stats: DecodeStats,

@@ -253,7 +253,7 @@ fn guessed<M: LanguageModel>(
     person: PersonId,
     guess: &Sentence,
 ) -> Option<Answer> {
-    let outlook = pipeline.ahead().outlook();
+    let outlook = pipeline.idle().outlook();
     let ask = preparer.ask(&outlook, person, guess)?;
     Some(preparer.answer(ask).unwrap())
 }
@@ -304,7 +304,7 @@ proptest! {
                 let guess = Sentence::new(&format!("They touch thing {guess}.")).unwrap();
                 let mut answer = guessed(&mut ahead, &mut aside, PersonId(of), &guess);
                 prop_assert!(answer.is_none() || ahead.inside().person(PersonId(of)).is_some());
-                let mut keep = |ahead: &mut Pipeline<_>| answer.take().map(|answer| ahead.ahead().keep_answer(answer));
+                let mut keep = |ahead: &mut Pipeline<_>| answer.take().map(|answer| ahead.idle().keep_answer(answer));
                 if !is_late {
                     keep(&mut ahead);
                 }
@@ -315,12 +315,12 @@ proptest! {
                         ahead.change_map(map, &GroundingOptions::default()).unwrap();
                         behind.change_map(map, &GroundingOptions::default()).unwrap();
                     }
-                    1 => while ahead.ahead().tidy() | behind.ahead().tidy() {},
+                    1 => while ahead.idle().tidy() | behind.idle().tidy() {},
                     2 => {
                         ahead.intake().end_window(PersonId(person));
                         behind.intake().end_window(PersonId(person));
                     }
-                    3 => drop(ahead.ahead().outlook()),
+                    3 => drop(ahead.idle().outlook()),
                     4 => {
                         ahead.intake().forget_person(PersonId(person));
                         behind.intake().forget_person(PersonId(person));
@@ -369,18 +369,18 @@ fn what_was_guessed_is_answered_without_the_model() {
     let said = observation(2, PersonId(0));
     let guess = Sentence::new(said.sentence().unwrap()).unwrap();
     let answer = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
-    assert!(ahead.ahead().keep_answer(answer));
+    assert!(ahead.idle().keep_answer(answer));
     assert!(guessed(&mut ahead, &mut aside, PersonId(9), &guess).is_none(), "nobody knows them");
     let stale = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
     let scores = ahead.step([said.clone()]).unwrap();
     assert_eq!((scores.asked, scores.prepared, scores.stats.calls), (1, 1, 0));
-    assert!(!ahead.ahead().keep_answer(stale), "they have done something since");
+    assert!(!ahead.idle().keep_answer(stale), "they have done something since");
     // Forgetting a person drops stored answers, and answers that arrive later.
     let answer = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
-    assert!(ahead.ahead().keep_answer(answer));
+    assert!(ahead.idle().keep_answer(answer));
     let late = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
     ahead.intake().forget_person(PersonId(0));
-    assert!(!ahead.ahead().keep_answer(late));
+    assert!(!ahead.idle().keep_answer(late));
     ahead.step([said]).unwrap();
     assert_eq!(ahead.scores().prepared, 0);
 }
@@ -397,7 +397,7 @@ fn only_exact_answers_are_prepared_and_so_many() {
     for thing in 2..most + 4 {
         let guess = Sentence::new(&format!("They touch thing {thing}.")).unwrap();
         let answer = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
-        assert_eq!(ahead.ahead().keep_answer(answer), thing < most + 2, "{thing}");
+        assert_eq!(ahead.idle().keep_answer(answer), thing < most + 2, "{thing}");
     }
 }
 
@@ -619,8 +619,8 @@ proptest! {
             // Absent persons do not wait, nor do persons with unchanged scores.
             told.push((source, number, PersonId(person), !bounded.inside().waits(PersonId(person))));
             if restarts {
-                bounded.intake().forget_voices();
-                free.intake().forget_voices();
+                bounded.intake().forget_quotas();
+                free.intake().forget_quotas();
             }
             for _ in 0..steps {
                 let before = bounded.scores().included.clone();

@@ -226,7 +226,7 @@ pub trait LanguageModel {
     ///
     /// # Errors
     /// As [`LanguageModel::decode`].
-    fn read_aside(&mut self, _prompt: &[Token], _calls: usize) -> Result<bool, ModelError> {
+    fn read_part(&mut self, _prompt: &[Token], _calls: usize) -> Result<bool, ModelError> {
         Ok(true)
     }
 
@@ -842,13 +842,13 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(self.model.read(&self.prompt)?)
     }
 
-    /// Decodes a small part of `prompt` for later ([`LanguageModel::read_aside`]). Returns whether all of it is decoded.
+    /// Decodes a small part of `prompt` for later ([`LanguageModel::read_part`]). Returns whether all of it is decoded.
     ///
     /// # Errors
     /// If the model fails.
-    pub(crate) fn read_aside(&mut self, prompt: &str, calls: usize) -> Result<bool, ScoreError> {
+    pub(crate) fn read_part(&mut self, prompt: &str, calls: usize) -> Result<bool, ScoreError> {
         self.cut_prompt(prompt)?;
-        Ok(self.model.read_aside(&self.prompt, calls)?)
+        Ok(self.model.read_part(&self.prompt, calls)?)
     }
 
     /// Scores the labels of `trie` after `self.prompt`, and appends the scores to `out`. `places` maps nodes of `trie` to nodes of `prepared.trie`;

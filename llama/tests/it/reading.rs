@@ -50,8 +50,8 @@ fn decoded(
 fn windows_that_are_read_before_their_cut_score_the_same_to_the_last_bit() {
     let options = LlamaOptions { threads: 1, ..LlamaOptions::default() };
     let (whole, scores) = decoded(1, &options, |_| ());
-    let (parts, after_events) = decoded(1, &options, |pipeline| pipeline.ahead().read_on());
-    let (idle, after_idle) = decoded(1, &options, |pipeline| while pipeline.ahead().tidy() {});
+    let (parts, after_events) = decoded(1, &options, |pipeline| pipeline.idle().read_on());
+    let (idle, after_idle) = decoded(1, &options, |pipeline| while pipeline.idle().tidy() {});
     let most = |decoded: &[u32]| decoded[1..].iter().max().copied().unwrap();
     println!("whole {whole:?}\nin parts {parts:?}\nidle {idle:?}");
     assert!(most(&whole) > 30, "an event reads a whole window: {whole:?}");
@@ -64,7 +64,7 @@ fn windows_that_are_read_before_their_cut_score_the_same_to_the_last_bit() {
 fn windows_of_persons_who_act_in_turn_stay_read() {
     let options = LlamaOptions { threads: 1, ..LlamaOptions::default() };
     let (whole, scores) = decoded(2, &options, |_| ());
-    let (parts, after_events) = decoded(2, &options, |pipeline| pipeline.ahead().read_on());
+    let (parts, after_events) = decoded(2, &options, |pipeline| pipeline.idle().read_on());
     println!("whole {whole:?}\nin parts {parts:?}");
     let sum = |decoded: &[u32]| decoded.iter().sum::<u32>();
     assert!(3 * sum(&parts) < sum(&whole), "{whole:?} {parts:?}");
@@ -73,7 +73,7 @@ fn windows_of_persons_who_act_in_turn_stay_read() {
     let mut pipeline = pipeline(&options);
     for (sequence, sentence) in (1..40).zip(sentences()) {
         pipeline.step([observation(sequence, sequence as u32 % 2, &sentence)]).unwrap();
-        pipeline.ahead().read_on();
+        pipeline.idle().read_on();
     }
     pipeline.intake().forget_person(PersonId(1));
     let again = pipeline.step([observation(50, 0, "They sit on the sofa.")]).unwrap();

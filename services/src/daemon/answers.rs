@@ -9,7 +9,7 @@ use roomcast_core::narration::line::Who;
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
 
-use super::board::Board;
+use super::engine::Engine;
 use super::journal::JournalHandle;
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
@@ -21,31 +21,31 @@ pub(super) const FORGET_PATIENCE: Duration = Duration::from_secs(5);
 /// Longest wait of a changed map for the journal.
 const BELIEFS_PATIENCE: Duration = Duration::from_secs(1);
 
-/// Applies a possible change to the board and returns the result. The places of persons are in the journal before the changed map is stored.
+/// Applies a possible change to the engine and returns the result. The places of persons are in the journal before the changed map is stored.
 pub(super) fn answer_change<M: LanguageModel>(
-    board: &mut Board<M>,
+    engine: &mut Engine<M>,
     (journal, kept_map): (Option<&JournalHandle>, Option<&KeptMap>),
     asked: Result<MapQuestion, String>,
 ) -> MapAnswer {
     let start_ns = clock::monotonic_ns();
-    let in_use = hex::encode(board.map().fingerprint());
+    let in_use = hex::encode(engine.map().fingerprint());
     let result = asked.map_err(|reason| (Outcome::Refused, reason)).and_then(|question| {
         if let Some(expected) = question.expected_map.filter(|expected| !expected.eq_ignore_ascii_case(&in_use)) {
             return Err((Outcome::OtherMap, format!("the map in use is {in_use}, not {expected}")));
         }
         let refused = |error: &dyn std::error::Error| (Outcome::Refused, crate::logging::chain(error));
-        let map = board.map().changed(question.changes).map_err(|error| refused(&error))?;
-        board.change_map(map).map_err(|error| refused(&error))
+        let map = engine.map().changed(question.changes).map_err(|error| refused(&error))?;
+        engine.change_map(map).map_err(|error| refused(&error))
     });
     let regrouped_in_ns = clock::monotonic_ns().since(start_ns);
     let mut number = 0;
-    board.tell_beliefs(|believed| number = journal.map_or(0, |journal| journal.append(believed)));
+    engine.tell_beliefs(|believed| number = journal.map_or(0, |journal| journal.append(believed)));
     // After a timeout only the places of persons can be lost.
     let _written = journal.is_none_or(|journal| journal.wait_for(number, BELIEFS_PATIENCE));
     let kept = result.is_ok()
         && kept_map.is_some_and(|kept_map| {
             kept_map
-                .keep(board.map())
+                .keep(engine.map())
                 .inspect_err(|error| tracing::error!(%error, "the changed map cannot be kept for a restart"))
                 .is_ok()
         });
@@ -56,12 +56,12 @@ pub(super) fn answer_change<M: LanguageModel>(
     MapAnswer {
         outcome,
         reason,
-        map: hex::encode(board.map().fingerprint()),
-        epoch: format!("{:016x}", board.snapshot().epoch),
-        sequence: board.snapshot().sequence,
-        rooms: board.map().rooms().len(),
-        items: board.map().items().len(),
-        outside: board.pipeline().grounding().unassigned().len(),
+        map: hex::encode(engine.map().fingerprint()),
+        epoch: format!("{:016x}", engine.snapshot().epoch),
+        sequence: engine.snapshot().sequence,
+        rooms: engine.map().rooms().len(),
+        items: engine.map().items().len(),
+        outside: engine.pipeline().grounding().unassigned().len(),
         new_labels: prepared.new_labels,
         prepared_again: prepared.again,
         regrouped_in_ns,
@@ -71,12 +71,12 @@ pub(super) fn answer_change<M: LanguageModel>(
 
 /// Does the requested change of a person, and returns the known persons after it.
 pub(super) fn answer_about_person<M: LanguageModel>(
-    board: &mut Board<M>,
+    engine: &mut Engine<M>,
     journal: Option<&JournalHandle>,
     asked: Result<PersonQuestion, String>,
 ) -> PersonAnswer {
-    let find = |board: &Board<M>, who: &str| {
-        board.persons().find(who).ok_or_else(|| match board.persons().is_awaited(who) {
+    let find = |engine: &Engine<M>, who: &str| {
+        engine.persons().find(who).ok_or_else(|| match engine.persons().is_awaited(who) {
             true => format!("{who:?} was not observed yet: correct persons.residents in the configuration"),
             false => format!("nobody is known as {who:?}: `roomcast person list` says who is"),
         })
@@ -86,49 +86,49 @@ pub(super) fn answer_about_person<M: LanguageModel>(
     let result = asked.and_then(|question| match question {
         PersonQuestion::List => Ok(None),
         PersonQuestion::Understood { source, epoch, from } => {
-            understood = board.understood_lines(source, epoch, from);
+            understood = engine.understood_lines(source, epoch, from);
             Ok(None)
         }
         PersonQuestion::Where { who } => {
-            let person = find(board, &who)?;
-            whereabouts = Some(board.whereabouts(person, clock_ns));
+            let person = find(engine, &who)?;
+            whereabouts = Some(engine.whereabouts(person, clock_ns));
             Ok(None)
         }
         PersonQuestion::Rename { who, name, .. } => {
-            let person = find(board, &who)?;
-            let renamed = board.rename(person, &name);
+            let person = find(engine, &who)?;
+            let renamed = engine.rename(person, &name);
             failed = matches!(renamed, Err(NotRenamed::Failed(_)));
             renamed.map(|()| None).map_err(|error| error.to_string())
         }
         PersonQuestion::Forget { who, .. } => {
-            // Files may still mention a person that the board no longer knows.
-            let (is_known, person) = (find(board, &who), board.persons().meant(&who));
-            let is_learned = board.habits().persons().iter().any(|(known, _)| *known == person);
+            // Files may still mention a person that the engine no longer knows.
+            let (is_known, person) = (find(engine, &who), engine.persons().meant(&who));
+            let is_learned = engine.habits().persons().iter().any(|(known, _)| *known == person);
             let is_somebody = is_known.is_ok() || is_learned;
             if !is_somebody {
                 who.parse::<Who>().map_err(|error| error.to_string())?;
             }
-            let (left, records) = forget(board, journal, person, &who, is_somebody);
+            let (left, records) = forget(engine, journal, person, &who, is_somebody);
             if records == 0 && !is_learned { is_known.map(|_| left) } else { Ok(left) }
         }
     });
     let now_ns = i64::try_from(clock_ns.0).unwrap_or(i64::MAX);
     let (done, left) = (result.is_ok(), result.unwrap_or_else(Some));
-    let is_kept = board.persons().file().is_kept() && journal.is_none_or(JournalHandle::is_kept);
+    let is_kept = engine.persons().file().is_kept() && journal.is_none_or(JournalHandle::is_kept);
     let kept = done && left.is_none() && is_kept;
-    PersonAnswer { done, reason: left, failed, kept, persons: board.persons().lines(now_ns), understood, whereabouts }
+    PersonAnswer { done, reason: left, failed, kept, persons: engine.persons().lines(now_ns), understood, whereabouts }
 }
 
 /// Forgets a person, also on the disk. Returns the reason if the disk failed, and the number of deleted journal records. For a known person
 /// (`is_somebody`), other persons' events that mention the name are deleted as well; an unknown name might be any word.
 fn forget<M: LanguageModel>(
-    board: &mut Board<M>,
+    engine: &mut Engine<M>,
     journal: Option<&JournalHandle>,
     person: PersonId,
     who: &str,
     is_somebody: bool,
 ) -> (Option<String>, usize) {
-    let called = Called::new(board.persons(), person, who);
+    let called = Called::new(engine.persons(), person, who);
     let is_theirs = move |observation: &Observation, found: Option<PersonId>| {
         let names_them = || called.is_in(&observation.event.to_string());
         let own = match (&observation.name, found) {
@@ -141,12 +141,12 @@ fn forget<M: LanguageModel>(
         own || is_somebody && names_them()
     };
     // Observations in a window are already attributed.
-    board.forget(person, |observation| is_theirs(observation, Some(observation.person)));
+    engine.forget(person, |observation| is_theirs(observation, Some(observation.person)));
     let until = Instant::now() + FORGET_PATIENCE;
-    let in_file = board.persons_mut().file_mut().remove(person);
+    let in_file = engine.persons_mut().file_mut().remove(person);
     let in_journal = journal.map_or(Ok(0), |journal| journal.forget(person, is_theirs, until));
     let records = *in_journal.as_ref().unwrap_or(&1);
-    let in_habits = forget_habits(board, journal, until);
+    let in_habits = forget_habits(engine, journal, until);
     let error = in_journal.err().or(in_file.err()).or(in_habits.err());
     (error.map(|error| not_yet_kept(&error)), records)
 }
@@ -165,12 +165,12 @@ fn not_yet_kept(error: &io::Error) -> String {
 
 /// Writes the remaining habits after a person was forgotten, and waits `until` then.
 pub(super) fn forget_habits<M: LanguageModel>(
-    board: &mut Board<M>,
+    engine: &mut Engine<M>,
     journal: Option<&JournalHandle>,
     until: Instant,
 ) -> io::Result<()> {
     let Some(journal) = journal else { return Ok(()) };
-    let Some(memory) = board.habits_mut().memory_if_changed() else { return Ok(()) };
+    let Some(memory) = engine.habits_mut().memory_if_changed() else { return Ok(()) };
     journal.forget_habits(memory, until)
 }
 

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 
 use roomcast_ipc::raw::{IncludedV1, MAX_SOURCES, RoomScoresV1, score_flags};
 
-use super::{Board, Entry, Intake, Recovered};
+use super::{Engine, Entry, Intake, Recovered};
 use roomcast_core::ids::{BootNs, EventId, UnixNs};
 use roomcast_core::pipeline::PipelineError;
 use roomcast_core::scorer::LanguageModel;
@@ -27,7 +27,7 @@ struct Refused {
 /// The state of the scoring loop.
 #[derive(Debug)]
 pub struct Cycle<M> {
-    board: Board<M>,
+    engine: Engine<M>,
     /// Events for the next steps, each with its number in the state database, 0 without one.
     waiting: VecDeque<(Entry, u64)>,
     /// Refused events. The scores confirm them as soon as they contain the events before them.
@@ -54,9 +54,9 @@ pub struct Cycle<M> {
 impl<M: LanguageModel> Cycle<M> {
     /// A loop without scores. If nothing changes, a heartbeat follows `heartbeat_ns` after each message.
     #[must_use]
-    pub fn new(board: Board<M>, heartbeat_ns: u64) -> Self {
+    pub fn new(engine: Engine<M>, heartbeat_ns: u64) -> Self {
         Self {
-            board,
+            engine,
             waiting: VecDeque::new(),
             refused: VecDeque::new(),
             entered_record: 0,
@@ -79,8 +79,8 @@ impl<M: LanguageModel> Cycle<M> {
     pub fn restore(&mut self, recovered: Recovered, intake: &mut Intake, now_ns: BootNs, now_unix_ns: UnixNs) -> usize {
         recovered.taken().for_each(|event| intake.restore(event));
         recovered.ports.iter().for_each(|(name, port)| intake.restore_port(*name, *port));
-        self.board.settle(recovered.settled.clone());
-        self.board.restore(recovered, now_ns, now_unix_ns)
+        self.engine.settle(recovered.settled.clone());
+        self.engine.restore(recovered, now_ns, now_unix_ns)
     }
 
     /// Takes in a refused event, which the scores must confirm so that its narrator stops waiting. A confirmation includes all earlier events. So it
@@ -96,7 +96,7 @@ impl<M: LanguageModel> Cycle<M> {
         let is_next = |own: &&Refused| own.behind <= taken;
         let passed = self.refused.iter().take_while(is_next).count();
         for Refused { event, .. } in self.refused.drain(..passed) {
-            self.board.pass_over(event);
+            self.engine.pass_over(event);
         }
         self.refused.iter_mut().for_each(|own| own.behind -= taken);
         passed > 0
@@ -117,7 +117,7 @@ impl<M: LanguageModel> Cycle<M> {
     /// Whether a step is due: at once for a new event, after a second for a failed step, or because time alone changes the scores.
     #[must_use]
     pub fn step_due(&self, now_ns: BootNs) -> bool {
-        let due = self.due || self.board.is_overdue(now_ns);
+        let due = self.due || self.engine.is_overdue(now_ns);
         due && (now_ns >= self.retry_ns || !self.waiting.is_empty())
     }
 
@@ -130,7 +130,7 @@ impl<M: LanguageModel> Cycle<M> {
         self.step_and_tell(now_ns, now_unix_ns, |_| {})
     }
 
-    /// The same; `tell` gets the board after the observations have entered the histories, and before the model scores them.
+    /// The same; `tell` gets the engine after the observations have entered the histories, and before the model scores them.
     ///
     /// # Errors
     ///
@@ -139,9 +139,9 @@ impl<M: LanguageModel> Cycle<M> {
         &mut self,
         now_ns: BootNs,
         now_unix_ns: UnixNs,
-        tell: impl FnOnce(&mut Board<M>),
+        tell: impl FnOnce(&mut Engine<M>),
     ) -> Result<(), PipelineError> {
-        let failed_before = self.board.snapshot().has(score_flags::SCORER_FAILED);
+        let failed_before = self.engine.snapshot().has(score_flags::SCORER_FAILED);
         let most = self.waiting.len().min(STEP_ENTRIES_MAX);
         let taken = self.waiting.drain(..most);
         let entered_record = &mut self.entered_record;
@@ -149,10 +149,10 @@ impl<M: LanguageModel> Cycle<M> {
             *entered_record = (*entered_record).max(record);
             entry
         });
-        let sequence = self.board.snapshot().sequence;
-        self.board.take_in(entries, now_ns, now_unix_ns);
-        tell(&mut self.board);
-        let stepped = self.board.score_within(now_ns, now_unix_ns, STEP_NS_MAX);
+        let sequence = self.engine.snapshot().sequence;
+        self.engine.take_in(entries, now_ns, now_unix_ns);
+        tell(&mut self.engine);
+        let stepped = self.engine.score_within(now_ns, now_unix_ns, STEP_NS_MAX);
         let is_news = self.pass_over_up_to(most);
         match stepped {
             Ok(received_ns) => self.received_ns = received_ns,
@@ -166,8 +166,8 @@ impl<M: LanguageModel> Cycle<M> {
                 return Err(error);
             }
         }
-        self.due = is_news || !self.waiting.is_empty() || self.board.pipeline().inside().is_behind();
-        self.fresh |= self.board.snapshot().sequence > sequence;
+        self.due = is_news || !self.waiting.is_empty() || self.engine.pipeline().inside().is_behind();
+        self.fresh |= self.engine.snapshot().sequence > sequence;
         self.scored_record = self.scored_record.max(self.entered_record);
         Ok(())
     }
@@ -187,14 +187,14 @@ impl<M: LanguageModel> Cycle<M> {
     #[must_use]
     pub(crate) fn message_due(&self, now_ns: BootNs, written: u64) -> bool {
         let confirmation = now_ns.since(self.sent_ns) >= self.heartbeat_ns || (self.not_told && self.durable(written));
-        self.board.snapshot().sequence > 0 && (self.fresh || confirmation)
+        self.engine.snapshot().sequence > 0 && (self.fresh || confirmation)
     }
 
     /// The time until the next heartbeat or retry, if no event arrives. Claims that wait for the state database are checked every 50 ms.
     #[must_use]
     pub(crate) fn idle_ns(&self, now_ns: BootNs) -> u64 {
         const JOURNAL_NS: u64 = 50_000_000;
-        let heartbeat_ns = match self.board.snapshot().sequence {
+        let heartbeat_ns = match self.engine.snapshot().sequence {
             0 => u64::MAX,
             _ => self.sent_ns.saturating_add(self.heartbeat_ns).since(now_ns),
         };
@@ -216,7 +216,7 @@ impl<M: LanguageModel> Cycle<M> {
             return None;
         }
         let durable = self.durable(written);
-        let message = self.board.message(now_ns, !self.fresh, behind);
+        let message = self.engine.message(now_ns, !self.fresh, behind);
         self.not_told = !durable;
         self.fresh = false;
         self.sent_ns = now_ns;
@@ -239,30 +239,30 @@ impl<M: LanguageModel> Cycle<M> {
         (self.due, self.retry_ns) = (true, BootNs(0));
     }
 
-    /// The board, to change it.
-    pub fn board_mut(&mut self) -> &mut Board<M> {
-        &mut self.board
+    /// The engine, to change it.
+    pub fn engine_mut(&mut self) -> &mut Engine<M> {
+        &mut self.engine
     }
 
-    /// The board, without the loop.
+    /// The engine, without the loop.
     #[must_use]
-    pub fn into_board(self) -> Board<M> {
-        self.board
+    pub fn into_board(self) -> Engine<M> {
+        self.engine
     }
 
-    /// The board.
+    /// The engine.
     #[must_use]
-    pub fn board(&self) -> &Board<M> {
-        &self.board
+    pub fn engine(&self) -> &Engine<M> {
+        &self.engine
     }
 
-    /// Does a small part of the model's reading after an event ([`roomcast_core::pipeline::Ahead::read_on`]).
+    /// Does a small part of the model's reading after an event ([`roomcast_core::pipeline::Prefetcher::read_on`]).
     pub fn read_on(&mut self) {
-        self.board.read_on();
+        self.engine.read_on();
     }
 
     /// Does a small part of the postponed work. Returns whether there is more.
     pub fn tidy(&mut self) -> bool {
-        self.board.tidy()
+        self.engine.tidy()
     }
 }

@@ -163,7 +163,7 @@ impl Memory {
 
 /// The forecast of one person.
 #[derive(Debug, Default)]
-struct Ahead {
+struct Prefetcher {
     /// Its time and the state of the habits; `None` if it is not valid.
     of: Option<(BootNs, u64)>,
     /// Per horizon and place, row by row; elsewhere comes last.
@@ -219,7 +219,7 @@ pub struct HomeHabits {
     /// The newest observation with a new id.
     newest: Option<EventId>,
     labels: usize,
-    ahead: BTreeMap<PersonId, Ahead>,
+    ahead: BTreeMap<PersonId, Prefetcher>,
     /// Increases with every change of a forecast.
     state: u64,
     ticked_ns: BootNs,
@@ -546,7 +546,7 @@ impl HomeHabits {
                 write_shipped(own, from_s, f64::from(*ahead_s), row);
             }
             let horizons_s = horizons_s.map(f64::from);
-            let Ahead { probability, shares, sets, .. } = ahead;
+            let Prefetcher { probability, shares, sets, .. } = ahead;
             self.memory.habits.at_times(person, (now_s, &horizons_s), &self.shipped, probability, shares);
             // Thresholds of sets were learned while the believed place was the habits' place. Otherwise sets cover the belief.
             sets.clear();

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::asked::{Answer, Question};
-use super::board::Board;
+use super::engine::Engine;
 use crate::habits_reason::HorizonLine;
 use roomcast_core::habits::{BYTES_MAX, PARTS};
 use roomcast_core::ids::{BootNs, PersonId};
@@ -161,7 +161,7 @@ pub(super) enum After {
 
 /// Does everything but the work on the disk.
 pub(super) fn answer<M: LanguageModel>(
-    board: &mut Board<M>,
+    engine: &mut Engine<M>,
     importing: &mut Importing,
     asked: Result<HabitsQuestion, String>,
     now_ns: BootNs,
@@ -171,49 +171,49 @@ pub(super) fn answer<M: LanguageModel>(
     let result = asked.and_then(|question| match question {
         HabitsQuestion::Show => Ok(()),
         HabitsQuestion::Export => {
-            export = Some(board.habits().to_json().map_err(|error| error.to_string())?);
+            export = Some(engine.habits().to_json().map_err(|error| error.to_string())?);
             Ok(())
         }
         HabitsQuestion::Forget { who: None, .. } => {
-            board.habits_mut().forget_all();
-            board.bind_habits();
-            board.forget_ahead();
+            engine.habits_mut().forget_all();
+            engine.bind_habits();
+            engine.forget_prefetched();
             after = After::Forget;
             Ok(())
         }
         HabitsQuestion::Forget { who: Some(who), .. } => {
-            let person = board.persons().meant(&who);
-            if !board.habits_mut().forget(person) {
+            let person = engine.persons().meant(&who);
+            if !engine.habits_mut().forget(person) {
                 return Err(format!(
                     "nothing was learned of {who:?}: `roomcast habits show` says of whom something was"
                 ));
             }
             // The prefetcher also knows the person's events.
-            board.forget_ahead();
+            engine.forget_prefetched();
             after = After::Forget;
             Ok(())
         }
         HabitsQuestion::Import { whole, part, parts, text, expected, .. } => {
             let Some(json) = importing.take(&whole, (part, parts), &text)? else { return Ok(()) };
-            learned_meanwhile = expected.is_some_and(|expected| expected != board.habits().taken());
+            learned_meanwhile = expected.is_some_and(|expected| expected != engine.habits().taken());
             if learned_meanwhile {
                 return Err("it has learned something meanwhile, which would be lost: try again".to_owned());
             }
-            board.habits_mut().take_json(&json).map_err(|error| error.to_string())?;
-            board.bind_habits();
+            engine.habits_mut().take_json(&json).map_err(|error| error.to_string())?;
+            engine.bind_habits();
             after = After::Forget;
             Ok(())
         }
     });
-    board.forecast(now_ns);
-    let habits = board.habits();
+    engine.forecast(now_ns);
+    let habits = engine.habits();
     let learned = habits.learned();
     let line = |(person, observations): (PersonId, f64)| HabitsLine {
         person,
-        name: board.persons().name_of(person).map(str::to_owned),
+        name: engine.persons().name_of(person).map(str::to_owned),
         observations,
         watched_h: habits.watched_h(person),
-        forecast: board.habits_ahead(person),
+        forecast: engine.habits_ahead(person),
     };
     let answer = HabitsAnswer {
         done: result.is_ok(),
@@ -227,7 +227,7 @@ pub(super) fn answer<M: LanguageModel>(
         taken: habits.taken(),
         learned_meanwhile,
         persons: habits.persons().into_iter().map(line).collect(),
-        visits: visits(board),
+        visits: visits(engine),
         export,
     };
     (answer, after)
@@ -238,10 +238,10 @@ fn hundredth(count: f64) -> f64 {
     (count * 100.0).round() / 100.0 + 0.0
 }
 
-fn visits<M: LanguageModel>(board: &Board<M>) -> Vec<VisitsLine> {
+fn visits<M: LanguageModel>(engine: &Engine<M>) -> Vec<VisitsLine> {
     let line =
         |(room, by_part): (&str, [f64; PARTS])| VisitsLine { room: room.to_owned(), by_part: by_part.map(hundredth) };
-    board.room_ids().zip(board.habits().visits()).map(line).collect()
+    engine.room_ids().zip(engine.habits().visits()).map(line).collect()
 }
 
 #[cfg(test)]
@@ -275,13 +275,13 @@ mod tests {
         assert_eq!([-0.0, std::iter::empty::<f64>().sum(), 0.0, 1.236].map(told), ["0.0", "0.0", "0.0", "1.24"]);
     }
 
-    fn board(memory: Memory) -> Board<TableModel> {
+    fn engine(memory: Memory) -> Engine<TableModel> {
         let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
         let options = GroundingOptions::default();
         let grounding = Grounding::new(&map, &options).unwrap();
         let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
-        let board = Board::new(pipeline, map, options, 1).unwrap();
-        board.with_habits(HomeHabits::new(memory, Zone::UTC))
+        let engine = Engine::new(pipeline, map, options, 1).unwrap();
+        engine.with_habits(HomeHabits::new(memory, Zone::UTC))
     }
 
     /// Presence without an action counts as time in a known place.
@@ -294,8 +294,8 @@ mod tests {
             memory.habits.tick(PersonId(7), 1e9 + 60.0 * f64::from(minute), &mut |_, p| p.fill(0.5))
         });
         memory.habits = Habits::from_stored(HabitsOptions::default(), memory.habits.stored()).unwrap();
-        let mut board = board(memory);
-        let (answer, _) = answer(&mut board, &mut Importing::default(), Ok(HabitsQuestion::Show), BootNs(0));
+        let mut engine = engine(memory);
+        let (answer, _) = answer(&mut engine, &mut Importing::default(), Ok(HabitsQuestion::Show), BootNs(0));
         let line = &answer.persons[0];
         assert!(line.observations == 0.0 && (line.watched_h - 3.0).abs() < 0.1, "{line:?}");
     }
@@ -307,10 +307,10 @@ mod tests {
         memory.habits.bind(Vec::new(), vec!["kitchen".to_owned()], Vec::new());
         memory.habits.be(PersonId(7), Place::Room(0), 1e9);
         memory.habits.be(PersonId(7), Place::Elsewhere, 1e9 + 3_600.0);
-        let mut board = board(memory);
+        let mut engine = engine(memory);
         let (mut importing, mut number) = (Importing::default(), 0);
         let mut ask = |question| {
-            let (answer, _) = answer(&mut board, &mut importing, Ok(question), BootNs(0));
+            let (answer, _) = answer(&mut engine, &mut importing, Ok(question), BootNs(0));
             (answer.done, answer.taken, answer.export.unwrap_or_default())
         };
         let mut import = |text: &str, expected| {
@@ -343,10 +343,10 @@ mod tests {
         memory.habits.bind(Vec::new(), vec!["kitchen".to_owned()], Vec::new());
         memory.habits.be(ada, Place::Room(0), 1e9);
         memory.habits.be(ada, Place::Elsewhere, 1e9 + 3_600.0);
-        let mut board = board(memory);
+        let mut engine = engine(memory);
         let mut is_done = |who: String| {
             let question = HabitsQuestion::Forget { id: "1".to_owned(), who: Some(who) };
-            answer(&mut board, &mut Importing::default(), Ok(question), BootNs(0)).0.done
+            answer(&mut engine, &mut Importing::default(), Ok(question), BootNs(0)).0.done
         };
         assert!(!is_done(format!("+{ada}")));
         assert!(is_done(format!(" {ada} ")) && !is_done("ada".to_owned()), "it is forgotten");

@@ -4,7 +4,7 @@
 //! calls the narrator relayed, another port may continue the start once the first port is closed, as after a restart of a bridge. A relayed narrator
 //! resends its messages above the rate. Later messages wait for these, because otherwise the resent ones would count as lost.
 //!
-//! Each port has an equal quota of the followed starts and of the places in a person's window ([`Voice`]). The service has as many ports as quotas,
+//! Each port has an equal quota of the followed starts and of the places in a person's window ([`Quota`]). The service has as many ports as quotas,
 //! so no port can take the quota of an open one.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -17,7 +17,7 @@ use roomcast_ipc::sequence::{Arrival, Follower, source_of_name};
 use roomcast_ipc::{MessageError, Sender};
 
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
-use roomcast_core::narration::{Observation, Voice, check_name};
+use roomcast_core::narration::{Observation, Quota, check_name};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_core::scorer::TokenCounter;
 
@@ -49,7 +49,7 @@ pub enum Taken {
         /// The number of this start's events that were lost before it.
         missed: u64,
         /// The quota that it counts against in its person's window.
-        voice: Voice,
+        quota: Quota,
         /// The start (source and epoch) that gave way to its start.
         leaves: Option<(u64, u64)>,
         /// It is the port's first event of this start. The state database must keep the owner.
@@ -149,7 +149,7 @@ struct Source {
 #[derive(Debug, Clone)]
 struct Port {
     bucket: TokenBucket,
-    voice: u64,
+    quota: u64,
     turn: u64,
     /// A relayed narrator's message above the rate.
     held: Option<Held>,
@@ -190,7 +190,7 @@ pub struct Intake {
     /// The port that speaks for each narrator of the configuration.
     holders: BTreeMap<u64, Sender>,
     alive: BTreeSet<Sender>,
-    voices: u64,
+    quotas: u64,
     turns: u64,
     counters: IntakeCounters,
 }
@@ -199,7 +199,7 @@ impl Intake {
     /// An intake without events.
     #[must_use]
     pub fn new(limits: IntakeLimits) -> Self {
-        Self { limits, voices: FIRST_VOICE, ..Self::default() }
+        Self { limits, quotas: FIRST_VOICE, ..Self::default() }
     }
 
     /// The narrators of the configuration. All others then share one quota.
@@ -358,13 +358,13 @@ impl Intake {
             let first = !std::mem::replace(&mut source.costly, true);
             return Taken::Costly { tokens, most, first };
         }
-        let port_voice = port.voice;
-        let voice = match self.narrators.get(&message.source).map(|known| known.share) {
+        let port_voice = port.quota;
+        let quota = match self.narrators.get(&message.source).map(|known| known.share) {
             Some(share) if self.holds(message.source, sender) => {
-                Voice { number: message.source.max(FIRST_VOICE), share }
+                Quota { number: message.source.max(FIRST_VOICE), share }
             }
-            None if self.narrators.is_empty() => Voice { number: port_voice, share: 1 },
-            _ => Voice { number: OTHERS, share: 1 },
+            None if self.narrators.is_empty() => Quota { number: port_voice, share: 1 },
+            _ => Quota { number: OTHERS, share: 1 },
         };
         let ahead_ns = BootNs(message.observed_ns).since(now_ns);
         let observation = Observation {
@@ -390,7 +390,7 @@ impl Intake {
             event,
         };
         let ahead_ns = Some(ahead_ns).filter(|ahead_ns| *ahead_ns > FAST_NS);
-        Taken::Accepted { observation, missed, voice, leaves, binds, ahead_ns }
+        Taken::Accepted { observation, missed, quota, leaves, binds, ahead_ns }
     }
 
     /// The counters.
@@ -459,16 +459,16 @@ impl Intake {
             }
         }
         let inherited = if self.ports.contains_key(&sender) { None } else { self.voice_left_by(source) };
-        let (limits, narrators, voices) = (self.limits, &self.narrators, &mut self.voices);
+        let (limits, narrators, quotas) = (self.limits, &self.narrators, &mut self.quotas);
         self.ports.entry(sender).or_insert_with(|| {
             let known = narrators.get(&source);
             let rate_per_s = known.and_then(|known| known.rate_per_s).unwrap_or(limits.rate_per_s);
-            let voice = inherited.unwrap_or_else(|| {
-                *voices += 1;
-                *voices
+            let quota = inherited.unwrap_or_else(|| {
+                *quotas += 1;
+                *quotas
             });
             let bucket = TokenBucket::full(IntakeLimits { rate_per_s, ..limits }, now_ns);
-            Port { bucket, voice, turn: 0, held: None }
+            Port { bucket, quota, turn: 0, held: None }
         })
     }
 
@@ -478,9 +478,9 @@ impl Intake {
         let starts = self.sources.range((source, 0)..=(source, u64::MAX));
         let last = starts.filter(|(_, known)| known.port.is_some()).max_by_key(|(_, known)| known.turn);
         let port = last.and_then(|(_, known)| known.port).filter(|port| !self.alive.contains(port))?;
-        let voice = self.ports.get(&port)?.voice;
-        let taken = self.ports.iter().any(|(port, known)| known.voice == voice && self.alive.contains(port));
-        (!taken).then_some(voice)
+        let quota = self.ports.get(&port)?.quota;
+        let taken = self.ports.iter().any(|(port, known)| known.quota == quota && self.alive.contains(port));
+        (!taken).then_some(quota)
     }
 
     /// Assigns a start to the port if it has none. Returns the start that gives way to it.
@@ -558,9 +558,9 @@ mod tests {
         NarrationV1 { source, epoch, sequence, observed_ns: 5, ..NarrationV1::new(kind, text).unwrap() }
     }
 
-    fn accepted(taken: Taken) -> (Observation, Voice, Option<(u64, u64)>) {
-        let Taken::Accepted { observation, voice, leaves, .. } = taken else { panic!("{taken:?}") };
-        (observation, voice, leaves)
+    fn accepted(taken: Taken) -> (Observation, Quota, Option<(u64, u64)>) {
+        let Taken::Accepted { observation, quota, leaves, .. } = taken else { panic!("{taken:?}") };
+        (observation, quota, leaves)
     }
 
     #[test]
@@ -839,17 +839,17 @@ mod tests {
             KnownNarrator { name: "hall".into(), trust: 3, share: 4, may: May::ALL, rate_per_s: None, relayed: false };
         let mut intake = Intake::new(IntakeLimits::default()).with_narrators(&[named]);
         let hall = source_of_name("hall");
-        let mut voice = |epoch, port, alive: &[Sender]| {
+        let mut quota = |epoch, port, alive: &[Sender]| {
             intake.note_alive(alive.iter().copied());
             accepted(intake.take(&message(hall, epoch, 1, "A."), port, BootNs(epoch))).1
         };
-        let own = voice(1, PORT, &[PORT]);
-        let stranger = voice(2, OTHER, &[PORT, OTHER]);
-        assert_eq!((own.share, stranger), (4, Voice { number: OTHERS, share: 1 }));
-        assert_eq!(voice(3, PORT, &[PORT, OTHER]), own);
+        let own = quota(1, PORT, &[PORT]);
+        let stranger = quota(2, OTHER, &[PORT, OTHER]);
+        assert_eq!((own.share, stranger), (4, Quota { number: OTHERS, share: 1 }));
+        assert_eq!(quota(3, PORT, &[PORT, OTHER]), own);
         let next = Sender::simulated(3);
-        assert_eq!(voice(4, next, &[OTHER, next]), own);
-        assert_eq!(voice(5, OTHER, &[OTHER, next]), stranger);
+        assert_eq!(quota(4, next, &[OTHER, next]), own);
+        assert_eq!(quota(5, OTHER, &[OTHER, next]), stranger);
         assert!(intake.is_contested(hall, 1, OTHER) && !intake.is_contested(hall, 1, next));
     }
 
@@ -870,7 +870,7 @@ mod tests {
     fn a_narrator_that_starts_again_keeps_its_voice() {
         let [third, fourth] = [3, 4].map(Sender::simulated);
         // Starts of one narrator, each on a port, with the open ports at that time.
-        let voices = |starts: &[(Sender, &[Sender])]| -> Vec<Voice> {
+        let quotas = |starts: &[(Sender, &[Sender])]| -> Vec<Quota> {
             let mut intake = Intake::new(IntakeLimits::default());
             let start = |(epoch, (port, alive)): (u64, &(Sender, &[Sender]))| {
                 intake.note_alive(alive.iter().copied());
@@ -879,9 +879,9 @@ mod tests {
             (1..).zip(starts).map(start).collect()
         };
         // The first port is open, and the last speaker of this name had another quota.
-        let told = voices(&[(PORT, &[PORT]), (OTHER, &[PORT, OTHER]), (third, &[PORT, third])]);
+        let told = quotas(&[(PORT, &[PORT]), (OTHER, &[PORT, OTHER]), (third, &[PORT, third])]);
         assert!(told[1] != told[0] && told[2] != told[0], "{told:?}");
-        let told = voices(&[(PORT, &[PORT]), (OTHER, &[OTHER]), (third, &[third]), (fourth, &[third, fourth])]);
+        let told = quotas(&[(PORT, &[PORT]), (OTHER, &[OTHER]), (third, &[third]), (fourth, &[third, fourth])]);
         assert!(told[1] == told[0] && told[2] == told[0] && told[3] != told[0], "{told:?}");
     }
 
@@ -929,9 +929,9 @@ mod tests {
         intake.note_alive([PORT, OTHER]);
         accepted(intake.take(&message(1, 1, 1, "A."), PORT, BootNs(0)));
         for source in 2..10_000 {
-            let (_, voice, _) = accepted(intake.take(&message(source, 1, 1, "B."), OTHER, BootNs(source * 10_000_000)));
+            let (_, quota, _) = accepted(intake.take(&message(source, 1, 1, "B."), OTHER, BootNs(source * 10_000_000)));
             assert_eq!(
-                voice,
+                quota,
                 accepted(intake.take(&message(source, 1, 2, "B."), OTHER, BootNs(source * 10_000_000))).1
             );
         }
@@ -972,12 +972,12 @@ mod tests {
         };
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 1.0, burst: 2.0 }).with_narrators(&[named]);
         let hall = source_of_name("hall");
-        let voice = |taken| accepted(taken).1;
-        let own = voice(intake.take(&message(hall, 1, 1, "A."), PORT, BootNs(0)));
+        let quota = |taken| accepted(taken).1;
+        let own = quota(intake.take(&message(hall, 1, 1, "A."), PORT, BootNs(0)));
         assert_eq!(own.share, 4);
         (2..100).for_each(|n| drop(accepted(intake.take(&message(hall, 1, n, "A."), PORT, BootNs(0)))));
         let others: Vec<_> =
-            (2..9).map(|n| voice(intake.take(&message(n, 1, 1, "A."), Sender::simulated(n), BootNs(0)))).collect();
+            (2..9).map(|n| quota(intake.take(&message(n, 1, 1, "A."), Sender::simulated(n), BootNs(0)))).collect();
         assert!(others.iter().all(|other| *other == others[0] && *other != own));
         // Of the starts without an open port, those of named narrators stay longest.
         let (said, ..) = accepted(intake.take(&message(3, 1, 2, "A."), Sender::simulated(3), BootNs(0)));

@@ -1,16 +1,16 @@
 //! The daemon: receives narration, scores the rooms, publishes.
 //!
 //! ```text
-//! scoring thread: inbox -> board -> room scores, item scores; heartbeat, status
-//! relief thread:  the inbox while the scoring thread is busy
+//! scoring thread: receiver -> engine -> room scores, item scores; heartbeat, status
+//! standby thread:  the receiver while the scoring thread is busy
 //! ahead thread:   scores of likely next events, at a lower priority
 //! main thread:    signals, watchdog
 //!
-//! inbox: narration port -> intake -> journal
+//! receiver: narration port -> intake -> journal
 //! ```
 //!
-//! One thread at a time owns the inbox. The scoring thread reads it while idle, so that an event wakes one thread and not two. Before a step that may
-//! take long it hands the inbox to the relief thread, which queues new events for the next step. The relief thread returns the inbox soon after the
+//! One thread at a time owns the receiver. The scoring thread reads it while idle, so that an event wakes one thread and not two. Before a step that may
+//! take long it hands the receiver to the standby thread, which queues new events for the next step. The standby thread returns the receiver soon after the
 //! step.
 
 use std::path::Path;
@@ -34,7 +34,7 @@ use crate::notify::notify;
 use crate::participant::join;
 use crate::setup::{self, SetupError};
 use crate::stop::Stop;
-use inbox::{Counters, Inbox, Lending};
+use receiver::{Counters, EventReceiver, ReceiverLoan};
 
 use roomcast_core::draft::Drafter;
 use roomcast_core::guess::Counts;
@@ -47,15 +47,12 @@ use roomcast_llama::affinity::{self, AffinityError};
 use roomcast_llama::memory;
 use scoring::{Ports, Scoring, Tools};
 
-mod ahead;
 mod answers;
-mod aside;
 mod asked;
-mod board;
 mod cycle;
+mod engine;
 mod habits;
 mod habits_question;
-mod inbox;
 mod intake;
 pub mod journal;
 mod map_change;
@@ -64,14 +61,16 @@ mod persons;
 mod persons_file;
 #[cfg(test)]
 mod played;
+mod prefetch;
+mod prefetch_thread;
+mod receiver;
 mod scoring;
 mod sleep;
 mod understood;
 
-pub use ahead::{Ahead, Now};
 pub use asked::{ANSWERS_REMEMBERED, QUESTION_NAME_BYTES_MAX};
-pub use board::{Board, BoardError, Entry, MapError};
 pub use cycle::Cycle;
+pub use engine::{Engine, EngineError, Entry, MapError};
 pub use habits::{HomeHabits, Memory, NoZone, Zone};
 pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, VisitsLine};
 pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
@@ -83,6 +82,7 @@ pub use person_question::{
 };
 pub use persons::{NotRenamed, Persons, flag_words};
 pub use persons_file::PersonsFile;
+pub use prefetch::{Now, Prefetcher};
 pub use understood::{By, UNDERSTOOD_MAX};
 
 /// How often the main thread checks the other threads.
@@ -105,7 +105,7 @@ pub enum DaemonError {
     Setup(#[from] SetupError),
     /// The map does not fit into messages.
     #[error(transparent)]
-    Board(#[from] BoardError),
+    Engine(#[from] EngineError),
     /// A service.
     #[error(transparent)]
     Ipc(#[from] IpcError),
@@ -176,28 +176,28 @@ fn run_with<M: LanguageModel + Send + 'static>(
         return Err(DaemonError::AddressSpace(fault));
     }
     let node = join(domain, "roomcast-daemon")?;
-    // The services come first, because only one daemon can hold the scores' service; then the inbox; then the model, which takes longest. Events that
+    // The services come first, because only one daemon can hold the scores' service; then the receiver; then the model, which takes longest. Events that
     // arrive during loading wait in the port.
     let ports = Ports::open(&node)?;
     let narration = node.subscriber::<NarrationV1>()?;
-    let (desk, aside) = aside::pair(config.scoring.prepare_share, config.scoring.prepare_on_battery);
+    let (handle, prefetching) = prefetch_thread::pair(config.scoring.prepare_share, config.scoring.prepare_on_battery);
     let opened = journal_options(&config.daemon).map(|options| Journal::open(&options)).transpose()?;
     let (journal, mut recovered) =
         opened.map_or((None, Recovered::default()), |(journal, recovered)| (Some(journal), recovered));
     let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal.as_ref().map(Journal::handle));
     let habits = recovered.habits.take();
-    let Some(loaded) = stop.while_loading(|| load(config, names, habits, model, aside.is_stopped())) else {
+    let Some(loaded) = stop.while_loading(|| load(config, names, habits, model, prefetching.is_stopped())) else {
         return Ok(());
     };
-    let Loaded { board, ahead, kept_map, token_counter } = loaded?;
+    let Loaded { engine, ahead, kept_map, token_counter } = loaded?;
     memory::return_freed();
-    let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
-    let sentence_tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
+    let mut cycle = Cycle::new(engine, config.daemon.heartbeat_ms * 1_000_000);
+    let sentence_tokens_max = Arc::new(AtomicUsize::new(cycle.engine().sentence_tokens_max()));
     let mut intake = Intake::new(config.daemon.intake)
         .with_narrators(&config.daemon.narrator)
         .with_cost(SentenceCost::new(token_counter, Arc::clone(&sentence_tokens_max)));
     let restored = if journal.is_some() { restore(recovered, &mut cycle, &mut intake) } else { 0 };
-    let tally = first_tally(cycle.board(), restored);
+    let tally = first_tally(cycle.engine(), restored);
     let (counters, progress) = (Counters::default(), Progress::default());
     let tools = Tools {
         kept_map,
@@ -206,37 +206,38 @@ fn run_with<M: LanguageModel + Send + 'static>(
         journal: journal.as_ref().map(Journal::handle),
         counters: Arc::clone(&counters),
         progress: progress.clone(),
-        desk: ahead.is_some().then_some(desk),
+        handle: ahead.is_some().then_some(handle),
         stop: stop.clone(),
     };
     let moved_ns = Arc::clone(&progress.scoring_ns);
-    cycle.board_mut().watch_model(Arc::new(move || moved_ns.store(clock::monotonic_ns().0, Ordering::Relaxed)));
-    let inbox = Inbox::new(narration, intake, journal, counters);
-    let (inbox, relief) = Lending::new(inbox, Awake::new(config.ipc.spin_us), progress.clone(), stop.clone());
-    let mut scoring = Scoring::new(cycle, ports, inbox, tools, tally);
+    cycle.engine_mut().watch_model(Arc::new(move || moved_ns.store(clock::monotonic_ns().0, Ordering::Relaxed)));
+    let receiver = EventReceiver::new(narration, intake, journal, counters);
+    let (receiver, standby) =
+        ReceiverLoan::new(receiver, Awake::new(config.ipc.spin_us), progress.clone(), stop.clone());
+    let mut scoring = Scoring::new(cycle, ports, receiver, tools, tally);
     let cores = config.model.cores.clone();
     let (ending, ended) = bounded(THREADS);
     let scoring = spawn(SCORING, &ending, move || {
         affinity::bind(&cores)?;
         Ok::<(), DaemonError>(scoring.run()?)
     })?;
-    let relief = spawn("relief", &ending, move || relief.run())?;
+    let standby = spawn("standby", &ending, move || standby.run())?;
     let cores = config.model.cores.clone();
     let work_ahead = move |ahead| {
         // If the scorer has cores of its own, the prefetcher uses only these, too.
         affinity::bind(&cores)?;
-        aside.run(ahead);
+        prefetching.run(ahead);
         Ok::<(), DaemonError>(())
     };
     let ahead = ahead.map(|ahead| spawn("ahead", &ending, move || work_ahead(ahead))).transpose()?;
-    supervise(config, &node, stop, &progress, &ended, Threads { scoring, relief, ahead })
+    supervise(config, &node, stop, &progress, &ended, Threads { scoring, standby, ahead })
 }
 
 /// Everything that is loaded before the daemon listens.
 struct Loaded<M> {
-    board: Board<M>,
+    engine: Engine<M>,
     /// `None` when prefetching is off.
-    ahead: Option<Ahead<M, LlamaModel>>,
+    ahead: Option<Prefetcher<M, LlamaModel>>,
     kept_map: Option<KeptMap>,
     token_counter: TokenCounter,
 }
@@ -284,16 +285,16 @@ fn load<M: LanguageModel + Send + 'static>(
     let counts = || Counts::from_json(embedded::FORMS).unwrap_or_default();
     let ahead = preparer.map(|preparer| {
         let drafter = drafter(config, pipeline.inside().model(), is_stopped);
-        Ahead::new(preparer, counts(), Arc::clone(pipeline.inside().prepared()), config.scoring.prepare)
+        Prefetcher::new(preparer, counts(), Arc::clone(pipeline.inside().prepared()), config.scoring.prepare)
             .with_drafter(drafter)
     });
-    let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?
+    let engine = Engine::new(pipeline, map, config.grounding, sequence::random_epoch())?
         .with_persons(Persons::new(config.persons.clone(), names))
         .with_forecast(config.forecast)
         .with_named(named.map(|known| (sequence::source_of_name(&known.name), known.may)))
         .with_habits(HomeHabits::new(memory, Zone::local()))
         .with_readings();
-    Ok(Loaded { board, ahead, kept_map, token_counter })
+    Ok(Loaded { engine, ahead, kept_map, token_counter })
 }
 
 /// The habits of the state database, or of an earlier version's file.
@@ -338,8 +339,8 @@ fn drafter(config: &Config, configured: &ModelInfo, is_stopped: IsStopped) -> Op
 }
 
 /// The first status answer.
-fn first_tally<M: LanguageModel>(board: &Board<M>, restored: u64) -> StatusResponseV1 {
-    let snapshot = board.snapshot();
+fn first_tally<M: LanguageModel>(engine: &Engine<M>, restored: u64) -> StatusResponseV1 {
+    let snapshot = engine.snapshot();
     StatusResponseV1 {
         epoch: snapshot.epoch,
         started_unix_ns: clock::unix_ns().0,
@@ -349,8 +350,8 @@ fn first_tally<M: LanguageModel>(board: &Board<M>, restored: u64) -> StatusRespo
         process: std::process::id(),
         minor: 3,
         version: text::encode_cut(env!("CARGO_PKG_VERSION")),
-        map: text::encode_cut(board.map().name()),
-        model: text::encode_cut(&board.pipeline().inside().model().name),
+        map: text::encode_cut(engine.map().name()),
+        model: text::encode_cut(&engine.pipeline().inside().model().name),
         ..Default::default()
     }
 }
@@ -361,7 +362,7 @@ fn restore<M: LanguageModel>(recovered: Recovered, cycle: &mut Cycle<M>, intake:
     let set_aside = recovered.set_aside.clone();
     let costly = cycle.restore(recovered, intake, clock::monotonic_ns(), clock::unix_ns());
     if costly > 0 {
-        let most = cycle.board().sentence_tokens_max();
+        let most = cycle.engine().sentence_tokens_max();
         tracing::warn!(
             costly,
             "the state database has sentences of more than the {most} tokens that a window holds; they are left out: raise model.context_tokens and history.tokens to have them"
@@ -373,7 +374,7 @@ fn restore<M: LanguageModel>(recovered: Recovered, cycle: &mut Cycle<M>, intake:
             reason,
             rows,
             path = %path.display(),
-            "the state database is damaged and was set aside: a new one begins with the rows that could be read, and other events are lost"
+            "the state database is damaged and was set prefetching: a new one begins with the rows that could be read, and other events are lost"
         );
     }
     if damaged > 0 {
@@ -388,7 +389,7 @@ const SCORING: &str = "scoring";
 
 struct Threads {
     scoring: JoinHandle<Result<(), DaemonError>>,
-    relief: JoinHandle<()>,
+    standby: JoinHandle<()>,
     ahead: Option<JoinHandle<Result<(), DaemonError>>>,
 }
 
@@ -401,7 +402,7 @@ fn supervise(
     ended: &Receiver<&'static str>,
     threads: Threads,
 ) -> Result<(), DaemonError> {
-    let Threads { scoring, relief, ahead } = threads;
+    let Threads { scoring, standby, ahead } = threads;
     let (mut cleaned_ns, mut was_still) = (BootNs(0), false);
     while !stop.requested() {
         let name = select! {
@@ -438,8 +439,8 @@ fn supervise(
         }
     }
     notify(&[NotifyState::Stopping]);
-    // The relief thread returns the inbox, and the scoring thread finishes the received events.
-    relief.join().map_err(|_| DaemonError::Ended { name: "relief" })?;
+    // The standby thread returns the receiver, and the scoring thread finishes the received events.
+    standby.join().map_err(|_| DaemonError::Ended { name: "standby" })?;
     scoring.join().map_err(|_| DaemonError::Ended { name: SCORING })??;
     ahead.map_or(Ok(Ok(())), JoinHandle::join).map_err(|_| DaemonError::Ended { name: "ahead" })??;
     tracing::info!("stopped");
@@ -482,14 +483,14 @@ fn set_up<T: Send>(run: impl FnOnce() -> T + Send) -> Result<T, DaemonError> {
 /// When each thread moved last, in monotonic nanoseconds, for the watchdog.
 #[derive(Debug, Clone)]
 struct Progress {
-    relief_ns: Arc<AtomicU64>,
+    standby_ns: Arc<AtomicU64>,
     scoring_ns: Arc<AtomicU64>,
 }
 
 impl Default for Progress {
     fn default() -> Self {
         let now = || Arc::new(AtomicU64::new(clock::monotonic_ns().0));
-        Self { relief_ns: now(), scoring_ns: now() }
+        Self { standby_ns: now(), scoring_ns: now() }
     }
 }
 
@@ -497,7 +498,7 @@ impl Progress {
     /// The thread without progress for the longest time, and that time in nanoseconds.
     fn slowest(&self, now_ns: BootNs) -> (&'static str, u64) {
         let still = |moved: &AtomicU64| now_ns.since(BootNs(moved.load(Ordering::Relaxed)));
-        let (relief_ns, scoring_ns) = (still(&self.relief_ns), still(&self.scoring_ns));
-        if relief_ns > scoring_ns { ("relief", relief_ns) } else { ("scoring", scoring_ns) }
+        let (standby_ns, scoring_ns) = (still(&self.standby_ns), still(&self.scoring_ns));
+        if standby_ns > scoring_ns { ("standby", standby_ns) } else { ("scoring", scoring_ns) }
     }
 }

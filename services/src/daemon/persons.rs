@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::{
-    Event, Observation, PERSONS_MAX, Presence, ReadName, Voice, check_name, is_number, name_words, same_name,
+    Event, Observation, PERSONS_MAX, Presence, Quota, ReadName, check_name, is_number, name_words, same_name,
 };
 use roomcast_ipc::raw::{NAME_BYTES, person_flags, presence};
 use roomcast_ipc::text;
@@ -58,7 +58,7 @@ pub(super) struct Known {
     /// The time of `last`, which may be late.
     last_ns: i64,
     /// The quota of the narrator that reported the person first.
-    voice: u64,
+    quota: u64,
     /// The newest report by a guarded narrator; `i64::MIN` before the first.
     guarded_ns: i64,
     /// The person was found by fit, without key or name.
@@ -226,9 +226,9 @@ impl Persons {
 
     /// The persons that an event without a name may be about. A named narrator follows only persons that named narrators reported, if there
     /// are any.
-    fn candidates(&self, is_strange: bool) -> Vec<(PersonId, &Known)> {
+    fn candidates(&self, is_unknown: bool) -> Vec<(PersonId, &Known)> {
         let is_all =
-            is_strange || !self.known.values().any(|known| known.is_trusted() && known.presence != Presence::Gone);
+            is_unknown || !self.known.values().any(|known| known.is_trusted() && known.presence != Presence::Gone);
         self.iter().filter(|(_, known)| is_all || known.is_trusted()).collect()
     }
 
@@ -278,7 +278,7 @@ impl Persons {
     }
 
     /// Takes in an event of a person at `at_ns`. Returns the person that is dropped, if there is one too many.
-    pub(super) fn note(&mut self, observation: &Observation, voice: Voice, at_ns: i64) -> Option<PersonId> {
+    pub(super) fn note(&mut self, observation: &Observation, quota: Quota, at_ns: i64) -> Option<PersonId> {
         let number = observation.person;
         // A person that comes back starts afresh.
         let is_back = |known: &&Known| known.presence == Presence::Gone && observation.event != Event::Gone;
@@ -286,7 +286,7 @@ impl Persons {
             self.known.remove(&number);
         }
         let full = self.known.len() >= PERSONS_MAX && !self.known.contains_key(&number);
-        let dropped = if full { self.least_missed(voice.number) } else { None };
+        let dropped = if full { self.least_missed(quota.number) } else { None };
         if let Some(dropped) = dropped {
             self.known.remove(&dropped);
         }
@@ -299,7 +299,7 @@ impl Persons {
             did_ns: i64::MIN,
             last: EventId::new(0, 0, 0),
             last_ns: at_ns,
-            voice: voice.number,
+            quota: quota.number,
             guarded_ns: i64::MIN,
             by_fit: false,
             on_bed: false,
@@ -348,11 +348,11 @@ impl Persons {
     /// The person to drop for one more of `newcomer`: visitors before residents, then persons of the quota with most persons, then the longest
     /// silence. A narrator that invents persons drops its own.
     fn least_missed(&self, newcomer: u64) -> Option<PersonId> {
-        let told = |voice: u64| {
-            self.known.values().filter(|known| known.voice == voice).count() + usize::from(voice == newcomer)
+        let told = |quota: u64| {
+            self.known.values().filter(|known| known.quota == quota).count() + usize::from(quota == newcomer)
         };
         let rank = |(number, known): &(PersonId, &Known)| {
-            (!self.is_visitor(*number), Reverse(told(known.voice)), known.heard_ns)
+            (!self.is_visitor(*number), Reverse(told(known.quota)), known.heard_ns)
         };
         self.iter().min_by_key(rank).map(|(number, _)| number)
     }
@@ -419,8 +419,8 @@ impl Persons {
 
     /// The persons that an unnamed event may be about if two of them cannot have caused it: the person in the house, then the person that is away,
     /// then the resident that was not observed. An unknown house has the numbers from 0.
-    pub(super) fn unnamed(&self, is_strange: bool) -> Vec<PersonId> {
-        let mut known = self.candidates(is_strange);
+    pub(super) fn unnamed(&self, is_unknown: bool) -> Vec<PersonId> {
+        let mut known = self.candidates(is_unknown);
         known.retain(|(_, known)| known.presence != Presence::Gone);
         known.sort_by_key(|(number, known)| (known.presence != Presence::Present, Reverse(known.heard_ns), *number));
         let mut numbers: Vec<PersonId> = known.into_iter().map(|(number, _)| number).collect();
@@ -440,8 +440,8 @@ impl Persons {
     }
 
     /// Whether two persons or more can have caused an unnamed event.
-    pub(super) fn are_several(&self, is_strange: bool) -> bool {
-        let known = self.candidates(is_strange).into_iter().filter(|(_, known)| known.presence != Presence::Gone);
+    pub(super) fn are_several(&self, is_unknown: bool) -> bool {
+        let known = self.candidates(is_unknown).into_iter().filter(|(_, known)| known.presence != Presence::Gone);
         known.map(|(number, _)| number).chain(self.residents()).collect::<BTreeSet<PersonId>>().len() > 1
     }
 

@@ -40,10 +40,10 @@ impl Daemon {
             opened => Some(opened.unwrap()),
         });
         let names = PersonsFile::new(std::mem::take(&mut recovered.persons), Some(journal.handle()));
-        let Loaded { board, token_counter, .. } =
+        let Loaded { engine, token_counter, .. } =
             load(config, names, recovered.habits.take(), setup::configured_model, Arc::new(|| true)).unwrap();
-        let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
-        let tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
+        let mut cycle = Cycle::new(engine, config.daemon.heartbeat_ms * 1_000_000);
+        let tokens_max = Arc::new(AtomicUsize::new(cycle.engine().sentence_tokens_max()));
         let mut intake = Intake::new(config.daemon.intake).with_cost(SentenceCost::new(token_counter, tokens_max));
         cycle.restore(recovered, &mut intake, now_ns, now_unix_ns);
         let (scores, forecast, persons) = Default::default();
@@ -64,21 +64,21 @@ impl Daemon {
         while self.cycle.step_due(now_ns) {
             self.cycle.step(now_ns, now_unix_ns).unwrap();
             let mut attributed = 0;
-            self.cycle.board_mut().tell_moved(|moved| attributed = handle.append(moved));
-            self.cycle.board_mut().tell_whose(|outcome| attributed = handle.append(outcome));
+            self.cycle.engine_mut().tell_moved(|moved| attributed = handle.append(moved));
+            self.cycle.engine_mut().tell_whose(|outcome| attributed = handle.append(outcome));
             self.cycle.rests_on(attributed);
             assert!(handle.wait_for(self.cycle.scored_record(), Duration::from_secs(60)), "the journal stands still");
         }
         let Some(scores) = self.cycle.message(now_ns, handle.written(), false) else { return false };
         *self.scores = *scores;
-        let board = self.cycle.board_mut();
-        *self.forecast = *board.forecast(now_ns);
-        *self.persons = *board.person_forecasts(now_ns);
-        board.tell_gone(|person| _ = handle.append(journal::Record::Gone(person)));
-        board.tell_expected(|outcome| {
+        let engine = self.cycle.engine_mut();
+        *self.forecast = *engine.forecast(now_ns);
+        *self.persons = *engine.person_forecasts(now_ns);
+        engine.tell_gone(|person| _ = handle.append(journal::Record::Gone(person)));
+        engine.tell_expected(|outcome| {
             handle.append(outcome);
         });
-        board.tick(now_ns, now_unix_ns);
+        engine.tick(now_ns, now_unix_ns);
         while self.cycle.tidy() {}
         true
     }
@@ -151,7 +151,7 @@ impl Brain {
         }
         let decision = planner.decide(now_ns, unix_ns).unwrap();
         if let Some(decision) = &decision {
-            daemon.cycle.board_mut().see_decision(decision, now_ns);
+            daemon.cycle.engine_mut().see_decision(decision, now_ns);
         }
         decision
     }
@@ -182,7 +182,7 @@ impl House for Played {
             let (now_ns, unix_ns) = clocks(self.now_ns);
             for report in robot.act(at_min, &decided, (now_ns.0, unix_ns.0)) {
                 self.brain.planner.take_report(&report, now_ns).unwrap();
-                self.brain.daemon().cycle.board_mut().see_report(&report, now_ns);
+                self.brain.daemon().cycle.engine_mut().see_report(&report, now_ns);
             }
             self.now_ns += STEP_NS;
         }
@@ -235,7 +235,7 @@ fn fleet_day(is_bridged: bool) -> Outcome {
             let (other, _) = &mut robots[1 - own];
             if is_bridged {
                 other.planner.take_other(&decision, BootNs(now_ns));
-                other.daemon().cycle.board_mut().see_decision(&decision, BootNs(now_ns));
+                other.daemon().cycle.engine_mut().see_decision(&decision, BootNs(now_ns));
             }
         }
     }

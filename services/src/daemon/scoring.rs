@@ -13,15 +13,15 @@ use roomcast_ipc::{AnswerPort, IpcError, ItemScoresPublisher, Node, Publisher, S
 use sd_notify::NotifyState;
 
 use super::answers::{FORGET_PATIENCE, answer_about_person, answer_change, forget_habits};
-use super::aside::Desk;
 use super::asked::{Answered, Question};
-use super::board::Board;
 use super::cycle::Cycle;
+use super::engine::Engine;
 use super::habits_question::{self, After, HabitsAnswer, HabitsQuestion, Importing};
-use super::inbox::{Counters, Heard, Lending, QUEUE};
 use super::journal::{JournalHandle, Record};
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
+use super::prefetch_thread::PrefetchHandle;
+use super::receiver::{Counters, Heard, QUEUE, ReceiverLoan};
 use super::{LOG_INTERVAL_NS, Progress};
 use crate::clock;
 use crate::logging::Limiter;
@@ -90,16 +90,16 @@ pub(super) struct Scoring<M> {
     kept_map: Option<KeptMap>,
     save_ns: u64,
     saved_ns: BootNs,
-    inbox: Lending,
+    receiver: ReceiverLoan,
     /// Duration of the last step, as an estimate of the next.
     step_ns: u64,
     /// The background scorer; `None` when prefetching is off.
-    desk: Option<Desk>,
+    handle: Option<PrefetchHandle>,
     /// It was interrupted since the last snapshot for prefetching.
     is_interrupted: bool,
     /// Low-priority work is postponed until this time.
     quiet_ns: BootNs,
-    /// The board has work for [`Cycle::tidy`].
+    /// The engine has work for [`Cycle::tidy`].
     is_untidy: bool,
     /// Most tokens of a sentence with the map in use, for the intake.
     sentence_tokens_max: Arc<AtomicUsize>,
@@ -122,14 +122,20 @@ pub(super) struct Tools {
     pub(super) journal: Option<JournalHandle>,
     pub(super) counters: Counters,
     pub(super) progress: Progress,
-    pub(super) desk: Option<Desk>,
+    pub(super) handle: Option<PrefetchHandle>,
     pub(super) stop: Stop,
 }
 
 impl<M: LanguageModel> Scoring<M> {
     /// `tally` is the first status answer.
-    pub(super) fn new(cycle: Cycle<M>, ports: Ports, inbox: Lending, tools: Tools, tally: StatusResponseV1) -> Self {
-        let Tools { kept_map, save_ns, sentence_tokens_max, journal, counters, progress, desk, stop } = tools;
+    pub(super) fn new(
+        cycle: Cycle<M>,
+        ports: Ports,
+        receiver: ReceiverLoan,
+        tools: Tools,
+        tally: StatusResponseV1,
+    ) -> Self {
+        let Tools { kept_map, save_ns, sentence_tokens_max, journal, counters, progress, handle, stop } = tools;
         Self {
             cycle,
             ready: false,
@@ -141,9 +147,9 @@ impl<M: LanguageModel> Scoring<M> {
             kept_map,
             save_ns,
             saved_ns: clock::monotonic_ns(),
-            inbox,
+            receiver,
             step_ns: u64::MAX,
-            desk,
+            handle,
             is_interrupted: false,
             quiet_ns: BootNs(0),
             is_untidy: false,
@@ -161,7 +167,7 @@ impl<M: LanguageModel> Scoring<M> {
 
     pub(super) fn run(&mut self) -> Result<(), IpcError> {
         loop {
-            let last = self.inbox.is_lost() || (self.stop.requested() && self.inbox.is_here());
+            let last = self.receiver.is_lost() || (self.stop.requested() && self.receiver.is_here());
             // A changed map is scored at once.
             let wait = !last && !self.cycle.step_due(clock::monotonic_ns());
             let idle = || {
@@ -176,9 +182,9 @@ impl<M: LanguageModel> Scoring<M> {
             self.see_robots(now_ns)?;
             let mut is_scored = false;
             if self.cycle.step_due(now_ns) {
-                // A stopping thread keeps the inbox: otherwise it would continue while a step is due.
+                // A stopping thread keeps the receiver: otherwise it would continue while a step is due.
                 if !last && !self.stop.requested() && self.step_ns >= SHORT_STEP_NS {
-                    self.inbox.lend();
+                    self.receiver.lend();
                 }
                 is_scored = self.step(now_ns);
                 self.step_ns = clock::monotonic_ns().since(now_ns);
@@ -203,19 +209,20 @@ impl<M: LanguageModel> Scoring<M> {
             self.answer_about_habits()?;
             self.ports.status.answer(|| self.tally())?;
             // These questions wait for the first scores of a changed map.
-            if self.cycle.board().is_scored() {
-                let board = self.cycle.board_mut();
-                let mut moment = || serde_json::to_string(&board.moment(clock::monotonic_ns())).unwrap_or_default();
+            if self.cycle.engine().is_scored() {
+                let engine = self.cycle.engine_mut();
+                let mut moment = || serde_json::to_string(&engine.moment(clock::monotonic_ns())).unwrap_or_default();
                 self.ports.moments.answer(|_| moment())?;
             }
             if events > 0 && is_scored {
                 self.cycle.read_on();
             }
-            if self.inbox.waiting() == 0 && self.cycle.waiting() == 0 && !self.cycle.step_due(clock::monotonic_ns()) {
+            if self.receiver.waiting() == 0 && self.cycle.waiting() == 0 && !self.cycle.step_due(clock::monotonic_ns())
+            {
                 self.look_after_habits(now_ns);
                 self.use_silence();
             }
-            self.inbox.call_back();
+            self.receiver.call_back();
         }
     }
 
@@ -225,7 +232,7 @@ impl<M: LanguageModel> Scoring<M> {
             return;
         }
         let cycle = &mut self.cycle;
-        self.inbox.listen(patience, |heard| match heard {
+        self.receiver.listen(patience, |heard| match heard {
             Heard::Entry(entry, number) => cycle.enter(entry, number),
             Heard::PassedOver(event) => cycle.pass_over(event),
         });
@@ -233,12 +240,12 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Receives positions and targets of robots, whose motion explains sensor events. Malformed messages are ignored.
     fn see_robots(&mut self, now_ns: BootNs) -> Result<(), IpcError> {
-        let (ports, board) = (&mut self.ports, self.cycle.board_mut());
+        let (ports, engine) = (&mut self.ports, self.cycle.engine_mut());
         while ports.decisions.receive_into(&mut ports.decision)? {
-            board.see_decision(&ports.decision, now_ns);
+            engine.see_decision(&ports.decision, now_ns);
         }
         while ports.reports.receive_into(&mut ports.report)? {
-            board.see_report(&ports.report, now_ns);
+            engine.see_report(&ports.report, now_ns);
         }
         Ok(())
     }
@@ -246,23 +253,23 @@ impl<M: LanguageModel> Scoring<M> {
     /// Sends the newest messages to new participants.
     fn renew_connections(&mut self) -> Result<(), IpcError> {
         self.ports.scores.tick()?;
-        if self.ports.items.tick()? && self.cycle.board().snapshot().sequence > 0 {
+        if self.ports.items.tick()? && self.cycle.engine().snapshot().sequence > 0 {
             self.send_items()?;
         }
-        if self.ports.forecasts.tick()? && self.cycle.board().snapshot().sequence > 0 {
-            self.ports.forecasts.send(self.cycle.board_mut().forecast(clock::monotonic_ns()))?;
+        if self.ports.forecasts.tick()? && self.cycle.engine().snapshot().sequence > 0 {
+            self.ports.forecasts.send(self.cycle.engine_mut().forecast(clock::monotonic_ns()))?;
         }
-        if self.ports.persons.tick()? && self.cycle.board().snapshot().sequence > 0 {
-            self.ports.persons.send(self.cycle.board_mut().person_scores(clock::monotonic_ns()))?;
+        if self.ports.persons.tick()? && self.cycle.engine().snapshot().sequence > 0 {
+            self.ports.persons.send(self.cycle.engine_mut().person_scores(clock::monotonic_ns()))?;
         }
-        if self.ports.person_forecasts.tick()? && self.cycle.board().snapshot().sequence > 0 {
-            self.ports.person_forecasts.send(self.cycle.board_mut().person_forecasts(clock::monotonic_ns()))?;
+        if self.ports.person_forecasts.tick()? && self.cycle.engine().snapshot().sequence > 0 {
+            self.ports.person_forecasts.send(self.cycle.engine_mut().person_forecasts(clock::monotonic_ns()))?;
         }
         Ok(())
     }
 
     fn send_items(&self) -> Result<(), IpcError> {
-        let Some((header, items)) = self.cycle.board().items() else { return Ok(()) };
+        let Some((header, items)) = self.cycle.engine().items() else { return Ok(()) };
         self.ports.items.send(header, items)
     }
 
@@ -271,12 +278,12 @@ impl<M: LanguageModel> Scoring<M> {
         self.tally.steps += 1;
         let waited = self.cycle.waiting();
         let (journal, mut attributed) = (&self.journal, 0);
-        let mut tell = |board: &mut Board<M>| {
-            board.tell_moved(|moved| attributed = journal.as_ref().map_or(0, |journal| journal.append(moved)));
-            board.tell_whose(|outcome| attributed = journal.as_ref().map_or(0, |journal| journal.append(outcome)));
+        let mut tell = |engine: &mut Engine<M>| {
+            engine.tell_moved(|moved| attributed = journal.as_ref().map_or(0, |journal| journal.append(moved)));
+            engine.tell_whose(|outcome| attributed = journal.as_ref().map_or(0, |journal| journal.append(outcome)));
         };
         let done = self.cycle.step_and_tell(now_ns, clock::unix_ns(), &mut tell);
-        tell(self.cycle.board_mut());
+        tell(self.cycle.engine_mut());
         self.tally.merged += ((waited - self.cycle.waiting()) as u64).saturating_sub(1);
         self.cycle.rests_on(attributed);
         if let Err(error) = done {
@@ -286,10 +293,10 @@ impl<M: LanguageModel> Scoring<M> {
             }
             return false;
         }
-        let board = self.cycle.board();
-        if board.pipeline().scores().is_cut && !std::mem::replace(&mut self.is_slow_told, true) {
+        let engine = self.cycle.engine();
+        if engine.pipeline().scores().is_cut && !std::mem::replace(&mut self.is_slow_told, true) {
             tracing::warn!(
-                deadline_ms = board.pipeline().inside().options().deadline_ns / 1_000_000,
+                deadline_ms = engine.pipeline().inside().options().deadline_ns / 1_000_000,
                 "the model takes longer for an event than scoring.deadline_ms: the last scores are sent at once, with the flag BEHIND, and new scores when \
                  they are ready. Raise the limit, or use a smaller model"
             );
@@ -304,18 +311,18 @@ impl<M: LanguageModel> Scoring<M> {
             );
         }
         // False while persons lack scores of a changed map.
-        self.cycle.board().is_scored()
+        self.cycle.engine().is_scored()
     }
 
     /// Writes expectations and departures to the journal, so that a restart believes the same.
     fn tell_expected(&mut self) {
         let journal = &self.journal;
-        self.cycle.board_mut().tell_gone(|person| {
+        self.cycle.engine_mut().tell_gone(|person| {
             if let Some(journal) = journal {
                 journal.append(Record::Gone(person));
             }
         });
-        self.cycle.board_mut().tell_expected(|outcome| {
+        self.cycle.engine_mut().tell_expected(|outcome| {
             if let Some(journal) = journal {
                 journal.append(outcome);
             }
@@ -324,36 +331,36 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Takes prefetched scores. An event interrupts prefetching.
     fn take_answers(&mut self, is_event: bool) {
-        let Some(desk) = &self.desk else { return };
+        let Some(handle) = &self.handle else { return };
         if is_event {
-            desk.interrupt();
+            handle.interrupt();
             self.is_interrupted = true;
         }
-        let board = self.cycle.board_mut();
-        desk.answers().for_each(|answer| board.keep_answer(answer));
+        let engine = self.cycle.engine_mut();
+        handle.answers().for_each(|answer| engine.keep_answer(answer));
     }
 
     /// Whether the prefetcher needs a new snapshot.
-    fn is_ahead_due(&self) -> bool {
-        let board = self.cycle.board();
-        self.desk.is_some() && board.is_scored() && (self.is_interrupted || board.is_ahead_due())
+    fn is_prefetch_due(&self) -> bool {
+        let engine = self.cycle.engine();
+        self.handle.is_some() && engine.is_scored() && (self.is_interrupted || engine.is_prefetch_due())
     }
 
     /// Time until low-priority work is due.
     fn until_quiet_ns(&self, now_ns: BootNs) -> u64 {
-        if self.is_untidy || self.is_ahead_due() { self.quiet_ns.since(now_ns) } else { u64::MAX }
+        if self.is_untidy || self.is_prefetch_due() { self.quiet_ns.since(now_ns) } else { u64::MAX }
     }
 
     /// Does a small part of the low-priority work: tidies up, or passes a snapshot to the prefetcher. Right after the scores it would take the core
     /// from the processes that the scores have woken: the scheduler queues them here, since a waking process mostly sleeps soon.
     fn use_silence(&mut self) {
-        if self.until_quiet_ns(clock::monotonic_ns()) > 0 || self.inbox.has_more() {
+        if self.until_quiet_ns(clock::monotonic_ns()) > 0 || self.receiver.has_more() {
             return;
         }
         if self.is_untidy {
             self.is_untidy = self.cycle.tidy();
-        } else if let Some(desk) = &self.desk {
-            desk.look(self.cycle.board_mut().now());
+        } else if let Some(handle) = &self.handle {
+            handle.look(self.cycle.engine_mut().now());
             self.is_interrupted = false;
         }
     }
@@ -365,7 +372,7 @@ impl<M: LanguageModel> Scoring<M> {
         if !self.cycle.message_due(before_ns, written) {
             return Ok(());
         }
-        let behind = self.inbox.has_more() || self.cycle.waiting() > 0;
+        let behind = self.receiver.has_more() || self.cycle.waiting() > 0;
         let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
         self.ports.scores.send(message)?;
         let (is_heartbeat, after_ns) = (message.has(score_flags::HEARTBEAT), clock::monotonic_ns());
@@ -384,7 +391,7 @@ impl<M: LanguageModel> Scoring<M> {
         {
             latency_ns.saturating_record(after_ns.since(received_ns));
         }
-        let message = self.cycle.board().snapshot();
+        let message = self.cycle.engine().snapshot();
         self.tally.sequence = message.sequence;
         if self.ports.items.wanted() {
             self.send_items()?;
@@ -404,9 +411,9 @@ impl<M: LanguageModel> Scoring<M> {
         );
         if !self.ready {
             self.ready = true;
-            let board = self.cycle.board();
-            let (model, map) = (board.pipeline().inside().model().name.as_str(), board.map().name());
-            let (labels, rooms) = (board.pipeline().inside().prepared().labels().len(), message.rooms().len());
+            let engine = self.cycle.engine();
+            let (model, map) = (engine.pipeline().inside().model().name.as_str(), engine.map().name());
+            let (labels, rooms) = (engine.pipeline().inside().prepared().labels().len(), message.rooms().len());
             tracing::info!(model, map, labels, rooms, "ready: the first scores are out");
             notify(&[NotifyState::Ready]);
         }
@@ -414,25 +421,25 @@ impl<M: LanguageModel> Scoring<M> {
     }
 
     fn send_about_persons(&mut self, now_ns: BootNs) -> Result<(), IpcError> {
-        self.ports.forecasts.send(self.cycle.board_mut().forecast(now_ns))?;
-        self.ports.persons.send(self.cycle.board_mut().person_scores(now_ns))?;
-        self.ports.person_forecasts.send(self.cycle.board_mut().person_forecasts(now_ns))?;
+        self.ports.forecasts.send(self.cycle.engine_mut().forecast(now_ns))?;
+        self.ports.persons.send(self.cycle.engine_mut().person_scores(now_ns))?;
+        self.ports.person_forecasts.send(self.cycle.engine_mut().person_forecasts(now_ns))?;
         Ok(())
     }
 
     /// Applies requested map changes. Returns true if the map changed.
     fn change_map(&mut self) -> Result<bool, IpcError> {
-        let Self { cycle, answered, journal, kept_map, ports, tally, inbox, sentence_tokens_max, .. } = self;
-        let board = cycle.board_mut();
+        let Self { cycle, answered, journal, kept_map, ports, tally, receiver, sentence_tokens_max, .. } = self;
+        let engine = cycle.engine_mut();
         let mut changed = false;
         ports.map_changes.answer(|asked| {
             answered.answer::<MapQuestion>(asked, |asked| {
-                inbox.lend();
-                let answer = answer_change(board, (journal.as_ref(), kept_map.as_ref()), asked);
+                receiver.lend();
+                let answer = answer_change(engine, (journal.as_ref(), kept_map.as_ref()), asked);
                 if answer.outcome == Outcome::Applied {
                     changed = true;
-                    tally.map_fingerprint = board.map().fingerprint();
-                    sentence_tokens_max.store(board.sentence_tokens_max(), Ordering::Relaxed);
+                    tally.map_fingerprint = engine.map().fingerprint();
+                    sentence_tokens_max.store(engine.sentence_tokens_max(), Ordering::Relaxed);
                 }
                 let MapAnswer { outcome, reason, items, new_labels, .. } = &answer;
                 let reason = reason.as_deref().map(for_the_log);
@@ -445,18 +452,18 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Answers questions about persons. Returns true if a person was forgotten or renamed.
     fn answer_about_persons(&mut self) -> Result<bool, IpcError> {
-        let Self { cycle, answered_persons, answered_habits, ports, journal, inbox, .. } = self;
+        let Self { cycle, answered_persons, answered_habits, ports, journal, receiver, .. } = self;
         let Ports { moments, habits_questions, person_questions, .. } = ports;
-        let board = cycle.board_mut();
+        let engine = cycle.engine_mut();
         let mut changed = false;
         person_questions.answer(|asked| {
             let mut is_new = false;
             let told = answered_persons.answer::<PersonQuestion>(asked, |asked| {
                 let changes = asked.as_ref().is_ok_and(|asked| asked.id().is_some());
                 if changes {
-                    inbox.lend();
+                    receiver.lend();
                 }
-                let answer = answer_about_person(board, journal.as_ref(), asked);
+                let answer = answer_about_person(engine, journal.as_ref(), asked);
                 if changes {
                     // Unread answers may name a forgotten person.
                     [&*moments, &*habits_questions, &*person_questions]
@@ -480,19 +487,19 @@ impl<M: LanguageModel> Scoring<M> {
     }
 
     fn answer_about_habits(&mut self) -> Result<(), IpcError> {
-        let Self { cycle, answered_habits, importing, ports, journal, inbox, .. } = self;
-        let (board, habits_questions) = (cycle.board_mut(), &ports.habits_questions);
+        let Self { cycle, answered_habits, importing, ports, journal, receiver, .. } = self;
+        let (engine, habits_questions) = (cycle.engine_mut(), &ports.habits_questions);
         habits_questions.answer(|asked| {
             let mut is_new = false;
             let told = answered_habits.answer::<HabitsQuestion>(asked, |asked| {
-                inbox.lend();
-                let (mut answer, after) = habits_question::answer(board, importing, asked, clock::monotonic_ns());
+                receiver.lend();
+                let (mut answer, after) = habits_question::answer(engine, importing, asked, clock::monotonic_ns());
                 answer.kept = journal.is_some();
                 if after == After::Forget {
                     // Unread and remembered answers contain forgotten habits.
                     habits_questions.forget_answers();
                     is_new = true;
-                    if let Err(error) = forget_habits(board, journal.as_ref(), Instant::now() + FORGET_PATIENCE) {
+                    if let Err(error) = forget_habits(engine, journal.as_ref(), Instant::now() + FORGET_PATIENCE) {
                         answer.reason = Some(format!(
                             "it holds until the daemon starts again: the habits cannot be written: {error}"
                         ));
@@ -513,19 +520,19 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Lets habits count time, and saves them at intervals.
     fn look_after_habits(&mut self, now_ns: BootNs) {
-        let board = self.cycle.board_mut();
-        board.tick(now_ns, clock::unix_ns());
+        let engine = self.cycle.engine_mut();
+        engine.tick(now_ns, clock::unix_ns());
         let is_due = now_ns.since(self.saved_ns) >= self.save_ns;
         let Some(journal) = self.journal.as_ref().filter(|_| is_due) else { return };
         self.saved_ns = now_ns;
-        board.habits_mut().memory_if_changed().into_iter().for_each(|memory| journal.keep_habits(memory));
+        engine.habits_mut().memory_if_changed().into_iter().for_each(|memory| journal.keep_habits(memory));
     }
 
     /// Writes the habits before the end.
     fn finish_habits(&mut self) {
         // The last observations count, too.
         self.cycle.tidy();
-        let memory = self.cycle.board_mut().habits_mut().memory_if_changed();
+        let memory = self.cycle.engine_mut().habits_mut().memory_if_changed();
         if let Some((journal, memory)) = self.journal.as_ref().zip(memory) {
             journal.keep_habits(memory);
         }
@@ -534,8 +541,8 @@ impl<M: LanguageModel> Scoring<M> {
     fn tally(&self) -> StatusResponseV1 {
         let (counters, sources) = *self.counters.lock().unwrap_or_else(PoisonError::into_inner);
         let quantile = |q| self.latency_ns.as_ref().map_or(0, |latency_ns| latency_ns.value_at_quantile(q));
-        let habits = self.cycle.board().habits().learned();
-        let prepared = self.cycle.board().prepared();
+        let habits = self.cycle.engine().habits().learned();
+        let prepared = self.cycle.engine().prepared();
         StatusResponseV1 {
             learned: habits.observations as u64,
             habits_bytes: habits.bytes as u64,
@@ -545,7 +552,7 @@ impl<M: LanguageModel> Scoring<M> {
             asked: prepared.asked,
             prepared: prepared.prepared,
             prepared_used: prepared.used,
-            prepare_ns: self.desk.as_ref().map_or(0, Desk::spent_ns),
+            prepare_ns: self.handle.as_ref().map_or(0, PrefetchHandle::spent_ns),
             answered_ns: clock::monotonic_ns().0,
             received: counters.received,
             accepted: counters.accepted,
@@ -558,8 +565,8 @@ impl<M: LanguageModel> Scoring<M> {
             ahead: counters.ahead,
             ahead_ns: counters.ahead_ns,
             sources: sources as u32,
-            persons: self.cycle.board().snapshot().persons,
-            waiting: (self.inbox.waiting() + self.cycle.waiting()) as u64,
+            persons: self.cycle.engine().snapshot().persons,
+            waiting: (self.receiver.waiting() + self.cycle.waiting()) as u64,
             latency_p50_ns: quantile(0.5),
             latency_p99_ns: quantile(0.99),
             latency_max_ns: self.latency_ns.as_ref().map_or(0, |latency_ns| latency_ns.max()),

@@ -1,15 +1,15 @@
 use roomcast_core::grounding::GroundingOptions;
 use roomcast_core::ids::PersonId;
-use roomcast_core::narration::{Event, Sentence, Voice};
+use roomcast_core::narration::{Event, Quota, Sentence};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::semantic_map::delta::parse_changes;
 use roomcast_ipc::raw::Message;
 
-use super::super::board::HORIZONS_S;
+use super::super::engine::HORIZONS_S;
 use super::super::intake::OTHERS;
-use super::super::{Board, Entry, Persons, PersonsFile, Recovered};
+use super::super::{Engine, Entry, Persons, PersonsFile, Recovered};
 use super::*;
 
 const S: u64 = 1_000_000_000;
@@ -32,21 +32,21 @@ fn options(learn: bool) -> HabitsOptions {
     HabitsOptions { learn, ..HabitsOptions::default() }
 }
 
-fn board(home: Option<HomeHabits>) -> Board<TableModel> {
+fn engine(home: Option<HomeHabits>) -> Engine<TableModel> {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let options = GroundingOptions::default();
     let grounding = Grounding::new(&map, &options).unwrap();
     let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
-    let board = Board::new(pipeline, map, options, 1).unwrap();
+    let engine = Engine::new(pipeline, map, options, 1).unwrap();
     match home {
-        Some(home) => board.with_habits(home),
-        None => board,
+        Some(home) => engine.with_habits(home),
+        None => engine,
     }
 }
 
 /// A daemon without threads, with its journal and its clocks.
 struct House {
-    board: Board<TableModel>,
+    engine: Engine<TableModel>,
     journal: Vec<Observation>,
     now_ns: u64,
     /// Wall clock minus monotonic clock.
@@ -55,8 +55,8 @@ struct House {
 
 impl House {
     fn new(learn: bool) -> Self {
-        let board = board(Some(HomeHabits::new(Memory::new(options(learn)), Zone::UTC)));
-        Self { board, journal: Vec::new(), now_ns: BEGIN_NS, unix_ns: MONDAY_S * S - BEGIN_NS }
+        let engine = engine(Some(HomeHabits::new(Memory::new(options(learn)), Zone::UTC)));
+        Self { engine, journal: Vec::new(), now_ns: BEGIN_NS, unix_ns: MONDAY_S * S - BEGIN_NS }
     }
 
     /// Advances the clocks to so many seconds after the Monday began, with a tick every minute.
@@ -64,7 +64,7 @@ impl House {
         let until_ns = BEGIN_NS + at_s * S;
         while self.now_ns < until_ns {
             self.now_ns = until_ns.min(self.now_ns + 60 * S);
-            self.board.tick(BootNs(self.now_ns), UnixNs(self.now_ns + self.unix_ns));
+            self.engine.tick(BootNs(self.now_ns), UnixNs(self.now_ns + self.unix_ns));
         }
     }
 
@@ -82,9 +82,9 @@ impl House {
         };
         self.journal.push(observation.clone());
         let entry = Entry::new(observation, BootNs(self.now_ns));
-        self.board.step([entry], BootNs(self.now_ns), UnixNs(self.now_ns + self.unix_ns)).unwrap();
-        self.board.tell_outcomes(|_| {});
-        self.board.tidy();
+        self.engine.step([entry], BootNs(self.now_ns), UnixNs(self.now_ns + self.unix_ns)).unwrap();
+        self.engine.tell_outcomes(|_| {});
+        self.engine.tidy();
     }
 
     /// A day: the living room from seven, the kitchen half an hour later, out from nine to five, and then in the kitchen.
@@ -104,29 +104,29 @@ impl House {
 
     /// The stored state if the daemon is killed now.
     fn memory(&mut self) -> Memory {
-        self.board.tidy();
-        self.board.habits_mut().changed = true;
-        self.board.habits_mut().memory_if_changed().unwrap()
+        self.engine.tidy();
+        self.engine.habits_mut().changed = true;
+        self.engine.habits_mut().memory_if_changed().unwrap()
     }
 
     /// Restarts the daemon with a stored state.
     fn restart(&mut self, memory: Memory) {
         let home = HomeHabits::new(memory, Zone::UTC);
-        self.board = board(Some(home));
+        self.engine = engine(Some(home));
         let mut recovered = Recovered::default();
         recovered.observations.clone_from(&self.journal);
-        self.board.restore(recovered, BootNs(self.now_ns), UnixNs(self.now_ns + self.unix_ns));
-        self.board.step([], BootNs(self.now_ns), UnixNs(self.now_ns + self.unix_ns)).unwrap();
+        self.engine.restore(recovered, BootNs(self.now_ns), UnixNs(self.now_ns + self.unix_ns));
+        self.engine.step([], BootNs(self.now_ns), UnixNs(self.now_ns + self.unix_ns)).unwrap();
     }
 
     fn observations(&self) -> f64 {
-        self.board.habits().learned().observations
+        self.engine.habits().learned().observations
     }
 
     /// The person's probability per place (elsewhere last) at a horizon.
     fn ahead(&mut self, person: PersonId, horizon: usize) -> [f32; 3] {
-        self.board.person_scores(BootNs(self.now_ns));
-        let told = *self.board.person_forecasts(BootNs(self.now_ns));
+        self.engine.person_scores(BootNs(self.now_ns));
+        let told = *self.engine.person_forecasts(BootNs(self.now_ns));
         told.check().unwrap();
         let own = told.persons().iter().find(|own| own.person == person.0).unwrap();
         let p = [own.probability[KITCHEN][horizon], own.probability[LIVING_ROOM][horizon], own.elsewhere[horizon]];
@@ -141,7 +141,7 @@ fn a_start_with_a_wrong_clock_costs_at_most_a_week_of_fading() {
     const YEAR_NS: u64 = 365 * DAY_S * S;
     // The sum of the counts, decayed to the time of the house.
     let worth = |house: &House| {
-        let json: serde_json::Value = serde_json::from_str(&house.board.habits().to_json().unwrap()).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&house.engine.habits().to_json().unwrap()).unwrap();
         let now_min = ((house.now_ns + house.unix_ns) / S / 60) as f64;
         let rows = json["rows"].as_array().unwrap().iter().map(|row| {
             let counts: f64 = row["counts"].as_array().unwrap().iter().map(|count| count[1].as_f64().unwrap()).sum();
@@ -185,7 +185,7 @@ fn a_late_word_of_a_sensor_moves_nobody() {
     house.now_ns = at_ns;
     let after = house.ahead(PersonId(1), QUARTER);
     assert!(before.iter().zip(after).all(|(a, b)| (a - b).abs() < 1e-6), "{before:?} {after:?}");
-    assert_eq!(house.board.habits().visits()[KITCHEN].iter().sum::<f64>(), 0.0);
+    assert_eq!(house.engine.habits().visits()[KITCHEN].iter().sum::<f64>(), 0.0);
 }
 
 /// An empty room ends the stay of the person believed there; the person's place is unknown until the next event.
@@ -196,22 +196,22 @@ fn nobody_stays_where_it_is_empty() {
     house.say(PersonId::SOMEBODY, 60, "nobody in the kitchen");
     house.until(7_200);
     let minutes = |house: &House| {
-        let json: serde_json::Value = serde_json::from_str(&house.board.habits().to_json().unwrap()).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&house.engine.habits().to_json().unwrap()).unwrap();
         let rows = json["rows"].as_array().unwrap().iter();
         let stays = rows.filter(|row| row["kind"] == STAYS_BY_PLACE);
         let counts = stays.flat_map(|row| row["counts"].as_array().unwrap().clone());
         counts.filter(|count| count[0] == 1).map(|count| count[1].as_f64().unwrap()).sum::<f64>()
     };
     assert!((minutes(&house) - 1.0).abs() < 0.1, "{}", minutes(&house));
-    assert_eq!(house.board.habits().visits()[KITCHEN].iter().sum::<f64>(), 0.0, "where to is not known");
+    assert_eq!(house.engine.habits().visits()[KITCHEN].iter().sum::<f64>(), 0.0, "where to is not known");
     // Sets cover the belief.
     let [kitchen, living_room, _] = house.ahead(PersonId(1), 0);
     assert!(living_room > 0.9 && kitchen < 0.1);
-    let told = *house.board.person_forecasts(BootNs(house.now_ns));
+    let told = *house.engine.person_forecasts(BootNs(house.now_ns));
     assert_eq!(told.persons()[0].set_holds(0, LIVING_ROOM), Some(true));
     house.say(PersonId(1), 7_260, "They sit on the sofa.");
     house.say(PersonId(1), 7_320, "away");
-    assert!(house.board.habits().visits()[LIVING_ROOM].iter().sum::<f64>() > 0.9);
+    assert!(house.engine.habits().visits()[LIVING_ROOM].iter().sum::<f64>() > 0.9);
 }
 
 /// A day of a home with a narrator that reports "present" when a phone is back, two minutes before a sensor reports the kitchen. Evening and night
@@ -237,7 +237,7 @@ fn who_comes_home_is_not_where_they_spend_their_nights() {
     (0..10).for_each(|day| commuter(&mut house, day));
     let now_s = 10 * DAY_S + 16 * H + 36 * 60;
     house.say(PersonId(4), 10 * DAY_S + 7 * H + 1_800, "away");
-    let visits = |house: &House| house.board.habits().visits()[LIVING_ROOM][16 / 3];
+    let visits = |house: &House| house.engine.habits().visits()[LIVING_ROOM][16 / 3];
     assert!(visits(&house) < 0.01, "they were never there at that time: {}", visits(&house));
     let out = |house: &mut House| {
         house.until(now_s - 60);
@@ -273,8 +273,8 @@ fn who_comes_home_is_not_where_they_spend_their_nights() {
 #[test]
 fn a_set_holds_what_it_promises_where_nothing_is_known() {
     let held = |house: &mut House| {
-        house.board.person_scores(BootNs(house.now_ns));
-        let told = *house.board.person_forecasts(BootNs(house.now_ns));
+        house.engine.person_scores(BootNs(house.now_ns));
+        let told = *house.engine.person_forecasts(BootNs(house.now_ns));
         let own = told.persons()[0];
         let sum = |horizon: usize| {
             let rooms = [KITCHEN, LIVING_ROOM].into_iter().filter(|room| own.set_holds(horizon, *room).unwrap());
@@ -313,15 +313,15 @@ fn who_has_just_left_a_new_home_is_out() {
 
 /// All published messages, without the fields that name the moment.
 fn told(
-    board: &mut Board<TableModel>,
+    engine: &mut Engine<TableModel>,
     now_ns: u64,
 ) -> (roomcast_ipc::raw::ForecastV1, roomcast_ipc::raw::PersonForecastsV1) {
-    (*board.forecast(BootNs(now_ns)), *board.person_forecasts(BootNs(now_ns)))
+    (*engine.forecast(BootNs(now_ns)), *engine.person_forecasts(BootNs(now_ns)))
 }
 
 /// The same daemon without habits.
-fn without_habits(house: &House) -> Board<TableModel> {
-    let mut plain = board(None);
+fn without_habits(house: &House) -> Engine<TableModel> {
+    let mut plain = engine(None);
     for observation in house.journal.clone() {
         let now_ns = observation.observed_ns;
         plain.step([Entry::new(observation, now_ns)], now_ns, UnixNs(now_ns.0 + house.unix_ns)).unwrap();
@@ -344,10 +344,10 @@ fn without_learning_nothing_changes() {
     let mut plain = without_habits(&house);
     for later_s in [0, 7, 100, 4_000] {
         let now_ns = house.now_ns + later_s * S;
-        assert_eq!(told(&mut house.board, now_ns), told(&mut plain, now_ns));
+        assert_eq!(told(&mut house.engine, now_ns), told(&mut plain, now_ns));
     }
-    assert_eq!(house.board.habits().learned().counts, 0);
-    assert!(house.board.habits_mut().memory_if_changed().is_none(), "there is nothing to write");
+    assert_eq!(house.engine.habits().learned().counts, 0);
+    assert!(house.engine.habits_mut().memory_if_changed().is_none(), "there is nothing to write");
 }
 
 #[test]
@@ -362,9 +362,9 @@ fn a_routine_becomes_the_forecast_and_is_forgotten() {
     let shipped = without_habits(&house).forecast(BootNs(house.now_ns)).probability[KITCHEN][QUARTER];
     assert!(known[KITCHEN] > shipped + 0.15 && known[KITCHEN] > 0.5, "{known:?} {shipped}");
     // With one person the forecast of all persons is that person's.
-    let all = *house.board.forecast(BootNs(house.now_ns));
+    let all = *house.engine.forecast(BootNs(house.now_ns));
     assert!((all.probability[KITCHEN][QUARTER] - known[KITCHEN]).abs() < 1e-6);
-    let (sure, shares) = house.board.habits().shares(PersonId(3)).unwrap();
+    let (sure, shares) = house.engine.habits().shares(PersonId(3)).unwrap();
     assert!(sure > 0.5 && shares[QUARTER].shipped < 0.2, "{sure} {shares:?}");
     // An absent person returns at five, as on earlier days.
     house.say(PersonId(3), 14 * DAY_S + 9 * H, "away");
@@ -375,10 +375,10 @@ fn a_routine_becomes_the_forecast_and_is_forgotten() {
     assert!(soon_back < at_noon - 0.05, "{at_noon} {soon_back}");
     assert!(house.ahead(PersonId(3), 0)[2] > 0.9);
 
-    assert!(house.board.habits_mut().forget(PersonId(3)));
-    assert!(!house.board.habits_mut().forget(PersonId(3)));
+    assert!(house.engine.habits_mut().forget(PersonId(3)));
+    assert!(!house.engine.habits_mut().forget(PersonId(3)));
     let (now_ns, mut plain) = (house.now_ns, without_habits(&house));
-    assert_eq!(told(&mut house.board, now_ns), told(&mut plain, now_ns));
+    assert_eq!(told(&mut house.engine, now_ns), told(&mut plain, now_ns));
 }
 
 /// Sets are the smallest with the promised coverage, and the messages state their basis; without habits there are none.
@@ -391,7 +391,7 @@ fn sets_and_their_grounds_are_told_of_each_person() {
     house.say(PersonId(3), 14 * DAY_S + 7 * H, "They sit on the sofa.");
     house.until(14 * DAY_S + 7 * H + 1_200);
     house.ahead(PersonId(3), QUARTER);
-    let message = *house.board.person_forecasts(BootNs(house.now_ns));
+    let message = *house.engine.person_forecasts(BootNs(house.now_ns));
     message.check().unwrap();
     let own = message.persons()[0];
     assert!((own.set_coverage - 0.9).abs() < 1e-6 && message.minor == 1);
@@ -409,7 +409,7 @@ fn sets_and_their_grounds_are_told_of_each_person() {
         let least = all.iter().filter(|(held, _)| *held).map(|(_, p)| *p).fold(1.0, f32::min);
         assert!(all.iter().all(|(held, p)| *held || *p <= least), "{horizon}: {all:?}");
     }
-    let reasons = house.board.moment(BootNs(house.now_ns));
+    let reasons = house.engine.moment(BootNs(house.now_ns));
     let learned = reasons.habits_of(PersonId(3)).unwrap();
     assert_eq!((learned.forecast.len(), learned.coverage), (3, 0.9));
     assert!(learned.forecast.iter().all(|line| !line.set.is_empty()), "{learned}");
@@ -436,7 +436,7 @@ fn nothing_is_learned_twice() {
     house.day(PersonId(3), 0);
     let sentences = house.observations();
     assert!(sentences >= 4.0, "{sentences}");
-    let minutes = |house: &House| house.board.habits().learned();
+    let minutes = |house: &House| house.engine.habits().learned();
     // Killed before anything was stored: the journal has all observations.
     let nothing = Memory::new(options(true));
     house.restart(nothing.clone());
@@ -447,7 +447,7 @@ fn nothing_is_learned_twice() {
         let before = memory.habits.to_json().unwrap();
         house.restart(memory);
         assert_eq!(house.observations(), sentences);
-        assert_eq!(house.board.habits().to_json().unwrap(), before);
+        assert_eq!(house.engine.habits().to_json().unwrap(), before);
     }
     // With an earlier stored state.
     let early = house.memory();
@@ -462,14 +462,14 @@ fn nothing_is_learned_twice() {
     let again = house.journal.pop().unwrap();
     house.restart(late);
     house
-        .board
+        .engine
         .step(
             [Entry::new(again.clone(), BootNs(house.now_ns))],
             BootNs(house.now_ns),
             UnixNs(house.now_ns + house.unix_ns),
         )
         .unwrap();
-    house.board.tidy();
+    house.engine.tidy();
     house.journal.push(again);
     assert_eq!(house.observations(), all);
     // The journal lacks the older and then the newer observations: the order of learning is unknown.
@@ -493,7 +493,7 @@ fn time_that_nobody_watched_is_not_counted() {
         house.day(PersonId(3), day);
     }
     house.say(PersonId(3), 5 * DAY_S + 7 * H, "They sit on the sofa.");
-    let stays = |house: &mut House| house.board.habits().to_json().unwrap();
+    let stays = |house: &mut House| house.engine.habits().to_json().unwrap();
     let memory = house.memory();
     let before = memory.habits.to_json().unwrap();
     // Twenty minutes without a daemon.
@@ -503,7 +503,7 @@ fn time_that_nobody_watched_is_not_counted() {
     // The clock is set by half a day; a minute later one minute was counted.
     let minute = |house: &mut House| {
         house.now_ns += 60 * S;
-        house.board.tick(BootNs(house.now_ns), UnixNs(house.now_ns + house.unix_ns));
+        house.engine.tick(BootNs(house.now_ns), UnixNs(house.now_ns + house.unix_ns));
     };
     house.unix_ns += 12 * H * S;
     minute(&mut house);
@@ -525,11 +525,11 @@ fn habits_survive_a_change_of_the_map() {
     let learned = house.observations();
     let before = house.ahead(PersonId(3), QUARTER);
     let hall = r#"[{"change": "add-room", "room": {"id": "hall", "label": "hall", "box": {"min_m": [9, 0, 0], "max_m": [12, 3, 2.5]}}}]"#;
-    let map = house.board.map().changed(parse_changes(hall).unwrap()).unwrap();
-    house.board.change_map(map).unwrap();
+    let map = house.engine.map().changed(parse_changes(hall).unwrap()).unwrap();
+    house.engine.change_map(map).unwrap();
     house.say(PersonId(3), 5 * DAY_S + 7 * H + 10, "They sit on the sofa.");
     assert_eq!(house.observations(), learned + 1.0);
-    let forecast = *house.board.person_forecasts(BootNs(house.now_ns));
+    let forecast = *house.engine.person_forecasts(BootNs(house.now_ns));
     let own = forecast.persons()[0];
     assert!((own.probability[LIVING_ROOM][QUARTER] - before[LIVING_ROOM]).abs() < 0.2);
     assert!(own.probability[2][QUARTER] < 0.1);
@@ -541,23 +541,23 @@ fn what_is_exported_teaches_another_home() {
     for day in 0..7 {
         house.day(PersonId(3), day);
     }
-    let json = house.board.habits().to_json().unwrap();
+    let json = house.engine.habits().to_json().unwrap();
     let mut other = House::new(false);
     other.say(PersonId(3), 7 * DAY_S + 7 * H, "They sit on the sofa.");
     other.until(7 * DAY_S + 7 * H + 1_200);
     let before = other.ahead(PersonId(3), QUARTER);
-    other.board.habits_mut().take_json(&json).unwrap();
-    other.board.bind_habits();
+    other.engine.habits_mut().take_json(&json).unwrap();
+    other.engine.bind_habits();
     other.say(PersonId(3), 7 * DAY_S + 7 * H + 1_210, "They stand up.");
     other.say(PersonId(3), 7 * DAY_S + 7 * H + 1_220, "They sit on the sofa.");
     let after = other.ahead(PersonId(3), QUARTER);
     assert!(after[KITCHEN] != before[KITCHEN], "{before:?} {after:?}");
-    assert_eq!(other.board.habits().to_json().unwrap(), json, "nothing is learned");
-    assert!(other.board.habits_mut().take_json("{}").is_err());
-    assert_eq!(other.board.habits().to_json().unwrap(), json);
-    other.board.habits_mut().forget_all();
-    other.board.bind_habits();
-    assert_eq!(other.board.habits().learned().counts, 0);
+    assert_eq!(other.engine.habits().to_json().unwrap(), json, "nothing is learned");
+    assert!(other.engine.habits_mut().take_json("{}").is_err());
+    assert_eq!(other.engine.habits().to_json().unwrap(), json);
+    other.engine.habits_mut().forget_all();
+    other.engine.bind_habits();
+    assert_eq!(other.engine.habits().learned().counts, 0);
 }
 
 /// The last minutes of all rows and names of an export.
@@ -575,7 +575,7 @@ fn dates(json: &str) -> Vec<u64> {
 fn a_narrator_with_a_dead_clock_harms_nothing() {
     let mut house = House::new(true);
     (0..5).for_each(|day| house.day(PersonId(1), day));
-    let (counts, observations) = (house.board.habits().learned().counts, house.observations());
+    let (counts, observations) = (house.engine.habits().learned().counts, house.observations());
     // After a restart without a journal, events older than the stored state are not learned.
     let (memory, last) = (house.memory(), house.journal[0].clone());
     house.journal.clear();
@@ -592,14 +592,14 @@ fn a_narrator_with_a_dead_clock_harms_nothing() {
             ..last.clone()
         };
         house
-            .board
+            .engine
             .step(
                 [Entry::new(observation, BootNs(house.now_ns))],
                 BootNs(house.now_ns),
                 UnixNs(house.now_ns + house.unix_ns),
             )
             .unwrap();
-        house.board.tell_outcomes(|_| {});
+        house.engine.tell_outcomes(|_| {});
     }
     let memory = house.memory();
     let read = crate::daemon::HabitRows::of(&memory).unwrap().memory(options(true)).unwrap();
@@ -612,20 +612,20 @@ fn what_was_learned_ahead_of_now_is_of_now() {
     let mut ahead = House::new(true);
     ahead.unix_ns += 9 * 365 * DAY_S * S;
     (0..5).for_each(|day| ahead.day(PersonId(3), day));
-    let json = ahead.board.habits().to_json().unwrap();
+    let json = ahead.engine.habits().to_json().unwrap();
     let mut house = House::new(true);
     (0..5).for_each(|day| house.day(PersonId(3), day));
     let now_min = |house: &House| (house.now_ns + house.unix_ns) / S / 60;
-    house.board.habits_mut().take_json(&json).unwrap();
-    house.board.bind_habits();
-    let after = house.board.habits().to_json().unwrap();
+    house.engine.habits_mut().take_json(&json).unwrap();
+    house.engine.bind_habits();
+    let after = house.engine.habits().to_json().unwrap();
     assert_eq!(dates(&after).into_iter().max(), Some(now_min(&house)));
     // A file with such dates and a correct end of the counted time.
     let memory = Memory { habits: Habits::from_json(options(true), &json).unwrap(), ..house.memory() };
     house.restart(memory);
-    assert_eq!(dates(&house.board.habits().to_json().unwrap()).into_iter().max(), Some(now_min(&house)));
+    assert_eq!(dates(&house.engine.habits().to_json().unwrap()).into_iter().max(), Some(now_min(&house)));
     // Another week of the same days is learned in addition.
-    let first = |house: &House| house.board.habits().visits().into_iter().flatten().sum::<f64>();
+    let first = |house: &House| house.engine.habits().visits().into_iter().flatten().sum::<f64>();
     let before = first(&house);
     (5..10).for_each(|day| house.day(PersonId(3), day));
     assert!(first(&house) > before + 5.0, "{before} {}", first(&house));
@@ -635,12 +635,12 @@ fn what_was_learned_ahead_of_now_is_of_now() {
 fn nothing_is_learned_of_visitors() {
     let mut house = House::new(true);
     let residents = crate::config::PersonsConfig { residents: vec!["3".to_owned()], ..Default::default() };
-    house.board = house.board.with_persons(Persons::new(residents, PersonsFile::default()));
+    house.engine = house.engine.with_persons(Persons::new(residents, PersonsFile::default()));
     house.say(PersonId(3), 7 * H, "They sit on the sofa.");
     house.say(PersonId(4), 7 * H + 60, "They open the fridge.");
     house.say(PersonId(4), 7 * H + 120, "away");
     house.say(PersonId(3), 7 * H + 180, "They stand up.");
-    assert_eq!(house.board.habits().persons(), [(PersonId(3), 2.0)]);
+    assert_eq!(house.engine.habits().persons(), [(PersonId(3), 2.0)]);
 }
 
 #[test]
@@ -674,7 +674,7 @@ fn of_each_start_of_a_source_the_newest_sequence_is_kept() {
 fn what_is_said_of_everybody_is_learned_of_each() {
     let mut house = House::new(true);
     let exits = |house: &House| {
-        let json: serde_json::Value = serde_json::from_str(&house.board.habits().to_json().unwrap()).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&house.engine.habits().to_json().unwrap()).unwrap();
         let (persons, rows) = (json["persons"].as_array().unwrap(), json["rows"].as_array().unwrap());
         let of = |slot: &serde_json::Value| {
             // Destinations of stays.
@@ -712,7 +712,7 @@ fn a_night_in_which_the_machine_slept_is_not_counted() {
         }
         house.until(30 * H + 600);
         house.say(PersonId(3), 30 * H + 600, "They open the fridge.");
-        let json: serde_json::Value = serde_json::from_str(&house.board.habits().to_json().unwrap()).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&house.engine.habits().to_json().unwrap()).unwrap();
         let rows = json["rows"].as_array().unwrap().iter().filter(|row| row["kind"] == STAY);
         let counts = rows.flat_map(|row| row["counts"].as_array().unwrap());
         counts.filter(|count| count[0] == 1).map(|count| count[1].as_f64().unwrap()).sum::<f64>()
@@ -732,30 +732,30 @@ fn whoever_is_not_learned_pushes_nobody_out() {
     let mut house = House::new(false);
     let memory =
         Memory { habits: Habits::from_json(options(false), &memory.habits.to_json().unwrap()).unwrap(), ..memory };
-    house.board = board(Some(HomeHabits::new(memory, Zone::UTC)));
-    let known = house.board.habits().persons();
+    house.engine = engine(Some(HomeHabits::new(memory, Zone::UTC)));
+    let known = house.engine.habits().persons();
     house.say(PersonId(1_000), 8 * H, "They open the fridge.");
-    assert_eq!(house.board.habits().persons(), known);
+    assert_eq!(house.engine.habits().persons(), known);
 }
 
 #[test]
 fn of_whom_only_strangers_tell_nothing_is_learned_where_narrators_are_named() {
     let mut house = House::new(true);
-    house.board = house.board.with_named([(7, crate::config::May::ALL)]);
+    house.engine = house.engine.with_named([(7, crate::config::May::ALL)]);
     house.say(PersonId(3), 7 * H, "They sit on the sofa.");
     let at_ns = house.now_ns + S;
     let strange = Observation {
         source: 9,
         ..Observation { person: PersonId(4), observed_ns: BootNs(at_ns), ..house.journal[0].clone() }
     };
-    let voice = Voice { number: OTHERS, share: 1 };
+    let quota = Quota { number: OTHERS, share: 1 };
     house
-        .board
-        .step([Entry { voice, ..Entry::new(strange, BootNs(at_ns)) }], BootNs(at_ns), UnixNs(at_ns + house.unix_ns))
+        .engine
+        .step([Entry { quota, ..Entry::new(strange, BootNs(at_ns)) }], BootNs(at_ns), UnixNs(at_ns + house.unix_ns))
         .unwrap();
-    house.board.tell_outcomes(|_| {});
-    house.board.tidy();
-    assert_eq!(house.board.habits().persons(), [(PersonId(3), 1.0)]);
+    house.engine.tell_outcomes(|_| {});
+    house.engine.tidy();
+    assert_eq!(house.engine.habits().persons(), [(PersonId(3), 1.0)]);
 }
 
 /// 06:00 UTC is 08:00 in Berlin in summer and 07:00 in winter, by name and by rule.

@@ -10,7 +10,7 @@ use super::super::answers::answer_about_person;
 use super::super::journal::notes::Notes;
 use super::super::journal::{Outcome, Record};
 use super::super::person_question::{PersonAnswer, PersonQuestion, UnderstoodLine};
-use super::super::{Board, Entry};
+use super::super::{Engine, Entry};
 use super::*;
 use crate::config::May;
 
@@ -22,34 +22,34 @@ const FLAT: &str = include_str!("../../../../scenes/flat.json");
 
 /// A daemon without threads, and its state database.
 struct House {
-    board: Board<TableModel>,
+    engine: Engine<TableModel>,
     config: PersonsConfig,
     journal: Notes,
     said: u64,
     now_ns: u64,
 }
 
-fn board(config: &PersonsConfig) -> Board<TableModel> {
+fn engine(config: &PersonsConfig) -> Engine<TableModel> {
     board_of(STUDIO, config)
 }
 
-fn board_of(scene: &str, config: &PersonsConfig) -> Board<TableModel> {
+fn board_of(scene: &str, config: &PersonsConfig) -> Engine<TableModel> {
     board_on(SemanticMap::from_json(scene).unwrap(), config)
 }
 
-fn board_on(map: SemanticMap, config: &PersonsConfig) -> Board<TableModel> {
+fn board_on(map: SemanticMap, config: &PersonsConfig) -> Engine<TableModel> {
     let options = GroundingOptions::default();
     let grounding = Grounding::new(&map, &options).unwrap();
     let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
     let persons = Persons::new(config.clone(), PersonsFile::default());
-    Board::new(pipeline, map, options, 1).unwrap().with_persons(persons)
+    Engine::new(pipeline, map, options, 1).unwrap().with_persons(persons)
 }
 
 impl House {
     fn new(residents: &[&str]) -> Self {
         let residents = residents.iter().map(|name| (*name).to_owned()).collect();
         let config = PersonsConfig { residents, ..PersonsConfig::default() };
-        Self { board: board(&config), config, journal: Notes::default(), said: 0, now_ns: 100_000 * S }
+        Self { engine: engine(&config), config, journal: Notes::default(), said: 0, now_ns: 100_000 * S }
     }
 
     fn observation(&mut self, who: &str, text: &str) -> Observation {
@@ -74,12 +74,12 @@ impl House {
     }
 
     fn step(&mut self, entry: Option<Entry>) {
-        self.board.step(entry, BootNs(self.now_ns), UnixNs(1_000_000 * S + self.now_ns)).unwrap();
+        self.engine.step(entry, BootNs(self.now_ns), UnixNs(1_000_000 * S + self.now_ns)).unwrap();
         let journal = &mut self.journal;
-        self.board.tell_beliefs(|believed| journal.push(believed));
-        self.board.tell_moved(|moved| journal.push(Record::Moved(moved.clone())));
-        self.board.tell_gone(|person| journal.push(Record::Gone(person)));
-        self.board.tell_outcomes(|outcome| journal.push(outcome));
+        self.engine.tell_beliefs(|believed| journal.push(believed));
+        self.engine.tell_moved(|moved| journal.push(Record::Moved(moved.clone())));
+        self.engine.tell_gone(|person| journal.push(Record::Gone(person)));
+        self.engine.tell_outcomes(|outcome| journal.push(outcome));
     }
 
     fn after_by(&mut self, source: u64, who: &str, text: &str) {
@@ -104,18 +104,18 @@ impl House {
     /// The loop checks once, at the end, whether time changed something, and returns that.
     fn wait(&mut self, seconds: u64) -> bool {
         self.now_ns += seconds * S;
-        let overdue = self.board.is_overdue(BootNs(self.now_ns));
+        let overdue = self.engine.is_overdue(BootNs(self.now_ns));
         if overdue {
             self.step(None);
-            assert!(!self.board.is_overdue(BootNs(self.now_ns)), "once");
+            assert!(!self.engine.is_overdue(BootNs(self.now_ns)), "once");
         }
         overdue
     }
 
     fn person(&mut self, who: &str) -> Option<PersonV1> {
-        let told = *self.board.person_scores(BootNs(self.now_ns));
+        let told = *self.engine.person_scores(BootNs(self.now_ns));
         told.check().unwrap();
-        let number = who.parse().unwrap_or_else(|_| self.board.persons().number_of(who));
+        let number = who.parse().unwrap_or_else(|_| self.engine.persons().number_of(who));
         told.persons().iter().find(|person| person.person == number.0).copied()
     }
 
@@ -125,24 +125,24 @@ impl House {
 
     /// The probability that a person is in each room now, and elsewhere.
     fn now(&mut self) -> (Vec<f32>, f32) {
-        let forecast = self.board.forecast(BootNs(self.now_ns));
+        let forecast = self.engine.forecast(BootNs(self.now_ns));
         forecast.check().unwrap();
         (forecast.probability.iter().take(3).map(|row| row[0]).collect(), forecast.elsewhere[0])
     }
 
     fn known(&mut self) -> u32 {
-        self.board.snapshot().persons
+        self.engine.snapshot().persons
     }
 
     fn restart(&mut self) {
-        self.restart_on(board(&self.config));
+        self.restart_on(engine(&self.config));
     }
 
-    fn restart_on(&mut self, board: Board<TableModel>) {
+    fn restart_on(&mut self, engine: Engine<TableModel>) {
         let recovered = self.journal.recovered();
-        self.board = board;
+        self.engine = engine;
         let unix_ns = 1_000_000 * S + self.now_ns;
-        self.board.restore(recovered, BootNs(self.now_ns), UnixNs(unix_ns));
+        self.engine.restore(recovered, BootNs(self.now_ns), UnixNs(unix_ns));
         self.step(None);
     }
 }
@@ -158,17 +158,17 @@ fn persons_who_leave_are_away_until_they_come_back() {
     assert_eq!((ada.presence, ada.elsewhere, ada.window), (presence::AWAY, 1.0, 0));
     assert_eq!((ada.since_ns, ada.observed_ns, ada.name()), (house.now_ns, house.now_ns, "ada"));
     assert!(ada.probability.iter().all(|p| *p == 0.0) && ada.log_score_nats[0] == f64::NEG_INFINITY);
-    assert!(!house.board.snapshot().has(score_flags::NOBODY_HOME));
-    assert_eq!(house.board.snapshot().person, house.board.persons().number_of("ben").0);
+    assert!(!house.engine.snapshot().has(score_flags::NOBODY_HOME));
+    assert_eq!(house.engine.snapshot().person, house.engine.persons().number_of("ben").0);
     house.after(10, "ben", "away");
-    let snapshot = *house.board.snapshot();
+    let snapshot = *house.engine.snapshot();
     snapshot.check().unwrap();
     assert!(snapshot.has(score_flags::NOBODY_HOME) && !snapshot.has(score_flags::NO_NARRATION));
     assert!(snapshot.rooms().iter().all(|room| room.probability == 0.0));
-    let forecast = *house.board.forecast(BootNs(house.now_ns));
+    let forecast = *house.engine.forecast(BootNs(house.now_ns));
     assert_eq!((forecast.flags, forecast.elsewhere[0]), (forecast_flags::NOBODY_HOME, 1.0));
     assert!(forecast.elsewhere[15] < 1.0, "somebody comes back some time");
-    let persons = *house.board.person_forecasts(BootNs(house.now_ns));
+    let persons = *house.engine.person_forecasts(BootNs(house.now_ns));
     persons.check().unwrap();
     for person in persons.persons() {
         for horizon in 0..16 {
@@ -308,7 +308,7 @@ fn gone_visitors_are_reported_once_and_then_forgotten() {
     house.after(60, "plumber", "gone");
     let gone = house.person("plumber").unwrap();
     assert_eq!((gone.presence, gone.elsewhere, house.known()), (presence::GONE, 1.0, 1));
-    let told = *house.board.person_forecasts(BootNs(house.now_ns));
+    let told = *house.engine.person_forecasts(BootNs(house.now_ns));
     told.check().unwrap();
     assert_eq!(told.persons().iter().filter(|person| person.elsewhere[3] == 1.0).count(), 1);
     house.after(1, "ada", "They stand up.");
@@ -358,9 +358,9 @@ fn unnamed_events_are_attributed_by_fit_and_create_no_person() {
 fn silence_ends_the_window_once_and_keeps_the_belief() {
     let mut house = House::new(&[]);
     house.after(1, "ada", "They lie on the bed.");
-    let (before, sequence) = (house.now().0, house.board.snapshot().sequence);
+    let (before, sequence) = (house.now().0, house.engine.snapshot().sequence);
     assert!(!house.wait(3600) && house.wait(1) && !house.wait(100_000));
-    assert_eq!((house.person("ada").unwrap().window, house.board.snapshot().sequence), (0, sequence + 1));
+    assert_eq!((house.person("ada").unwrap().window, house.engine.snapshot().sequence), (0, sequence + 1));
     let likeliest = |rooms: &[f32]| (0..rooms.len()).max_by(|a, b| rooms[*a].total_cmp(&rooms[*b])).unwrap();
     assert_eq!(likeliest(&house.now().0), likeliest(&before));
     // A sensor that only says that they are there ends no silence.
@@ -400,7 +400,7 @@ fn visitors_make_room_for_residents() {
         house.after(1, &visitor.to_string(), "They walk to the kitchen.");
     }
     house.after(1, "ada", "They lie on the bed.");
-    let known = house.board.persons();
+    let known = house.engine.persons();
     assert_eq!(known.iter().count(), PERSONS_MAX);
     assert!(
         [PersonId(0), known.number_of("ada"), PersonId(3), PersonId(PERSONS_MAX as u32)]
@@ -441,8 +441,8 @@ fn forgotten_persons_stay_forgotten_after_a_restart() {
     let mut house = House::new(&["ada", "ben"]);
     house.after(1, "ada", "They open the fridge.");
     house.after(1, "somebody", "Nobody is home.");
-    let ada = house.board.persons().number_of("ada");
-    house.board.forget(ada, |_| false);
+    let ada = house.engine.persons().number_of("ada");
+    house.engine.forget(ada, |_| false);
     house.journal.push(Record::Gone(ada));
     house.step(None);
     for _ in 0..2 {
@@ -458,9 +458,9 @@ fn forgotten_persons_stay_forgotten_after_a_restart() {
 fn forecasts_say_that_an_unobserved_resident_is_missing() {
     let mut house = House::new(&["ada", "ben"]);
     house.after(1, "ada", "They sit on the sofa.");
-    assert_eq!(house.board.forecast(BootNs(house.now_ns)).flags, forecast_flags::RESIDENT_UNKNOWN);
+    assert_eq!(house.engine.forecast(BootNs(house.now_ns)).flags, forecast_flags::RESIDENT_UNKNOWN);
     house.after(1, "ben", "away");
-    assert_eq!(house.board.forecast(BootNs(house.now_ns)).flags, 0);
+    assert_eq!(house.engine.forecast(BootNs(house.now_ns)).flags, 0);
 }
 
 #[test]
@@ -509,14 +509,14 @@ fn empty_rooms_have_no_person_and_create_none() {
 #[test]
 fn a_restart_after_a_map_change_keeps_the_belief() {
     let config = PersonsConfig::default();
-    let mut house = House { board: board_of(FLAT, &config), config: config.clone(), ..House::new(&[]) };
+    let mut house = House { engine: board_of(FLAT, &config), config: config.clone(), ..House::new(&[]) };
     house.after(1, "Ada", "She opens the fridge.");
     house.after(40, "Ada", "She sits down on the sofa.");
     house.after(1, "Ben", "He grabs the milk.");
     house.after(1, "Cleo", "present in the study");
     house.after(1, "Dan", "away");
     let told = |house: &mut House| -> Vec<(u32, Vec<f32>)> {
-        let forecasts = *house.board.person_forecasts(BootNs(house.now_ns));
+        let forecasts = *house.engine.person_forecasts(BootNs(house.now_ns));
         let rooms = forecasts.room_count as usize;
         let own = |own: &roomcast_ipc::raw::PersonForecastV1| {
             (own.person, (0..rooms).flat_map(|room| [0, 6, 10].map(|at| own.probability[room][at])).collect())
@@ -528,8 +528,8 @@ fn a_restart_after_a_map_change_keeps_the_belief() {
         "box": {"min_m": [5.7, 6.4, 0.0], "max_m": [6.3, 7.2, 0.8]}}, {"change": "remove-item", "id": "milk-1"}]"#;
     let before = told(&mut house);
     for change in [moved, r#"[{"change": "remove-item", "id": "sofa-1"}]"#] {
-        let map = house.board.map().changed(changes(change)).unwrap();
-        house.board.change_map(map.clone()).unwrap();
+        let map = house.engine.map().changed(changes(change)).unwrap();
+        house.engine.change_map(map.clone()).unwrap();
         house.step(None);
         assert_eq!(told(&mut house).len(), before.len());
         let changed = told(&mut house);
@@ -574,14 +574,14 @@ fn a_home_with_an_unobserved_resident_is_not_empty() {
     let mut house = House::new(&["ada", "ben"]);
     house.after(1, "ada", "They open the fridge.");
     house.after(1, "ada", "away");
-    assert!(!house.board.snapshot().has(score_flags::NOBODY_HOME));
-    let forecast = *house.board.forecast(BootNs(house.now_ns));
+    assert!(!house.engine.snapshot().has(score_flags::NOBODY_HOME));
+    let forecast = *house.engine.forecast(BootNs(house.now_ns));
     assert_eq!((forecast.flags, forecast.elsewhere[0]), (forecast_flags::NOT_KNOWN, 0.0));
     let even = 1.0 / forecast.room_count as f32;
     assert!(forecast.probability.iter().take(forecast.room_count as usize).all(|row| row[0] == even));
     house.after(1, "ben", "away");
-    assert!(house.board.snapshot().has(score_flags::NOBODY_HOME));
-    assert_eq!(house.board.forecast(BootNs(house.now_ns)).flags, forecast_flags::NOBODY_HOME);
+    assert!(house.engine.snapshot().has(score_flags::NOBODY_HOME));
+    assert_eq!(house.engine.forecast(BootNs(house.now_ns)).flags, forecast_flags::NOBODY_HOME);
 }
 
 /// A phone may report late that its person was out.
@@ -623,13 +623,13 @@ fn narrators_that_invent_persons_push_out_their_own() {
     for invented in 0..1_000 {
         house.after_by(666, &format!("person {invented}"), "They walk to the kitchen.");
     }
-    let known = house.board.persons();
+    let known = house.engine.persons();
     let here = |who: &str| known.get(who.parse().unwrap_or_else(|_| known.number_of(who))).is_some();
     assert!(["0", "ada", "ben", "person 999"].iter().all(|who| here(who)));
     assert!(!here("person 900"));
     // A narrator of few persons may name one more.
     house.after(1, "carl", "They sit on the sofa.");
-    let known = house.board.persons();
+    let known = house.engine.persons();
     assert!(["ada", "ben", "carl"].iter().all(|who| known.get(known.number_of(who)).is_some()));
     assert_eq!(known.iter().count(), PERSONS_MAX);
 }
@@ -661,9 +661,9 @@ fn a_restart_keeps_presence_windows_and_forecasts() {
         for (number, (who, what)) in (0..).zip(day) {
             house.after([2, 45, 700, 4000][(number + round) % 4], who, what);
             let of = |house: &mut House| {
-                let told = *house.board.person_scores(BootNs(house.now_ns));
+                let told = *house.engine.person_scores(BootNs(house.now_ns));
                 let persons: Vec<_> = told.persons().iter().filter(|p| p.presence != presence::GONE).copied().collect();
-                (persons, house.board.person_forecasts(BootNs(house.now_ns)).person)
+                (persons, house.engine.person_forecasts(BootNs(house.now_ns)).person)
             };
             for silence_s in [0, 20, 3000] {
                 house.wait(silence_s);
@@ -700,10 +700,10 @@ fn a_restart_journals_a_changed_expectation_once() {
         let mut told = Vec::new();
         for probability in [&[][..]].iter().chain(said) {
             let (person, by_fit, map) =
-                (3, false, u64::from_le_bytes(*board(&house.config).map().fingerprint().first_chunk().unwrap()));
+                (3, false, u64::from_le_bytes(*engine(&house.config).map().fingerprint().first_chunk().unwrap()));
             journal.push(&Outcome { event: observation.id(), person: PersonId(person), by_fit, map, probability });
         }
-        let mut again = board(&house.config);
+        let mut again = engine(&house.config);
         again.restore(journal.recovered(), BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns));
         again.step([], BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns)).unwrap();
         again.tell_outcomes(|outcome| told.push(outcome.probability.to_vec()));
@@ -722,7 +722,7 @@ fn a_restart_journals_the_person_of_an_away_event_once() {
     let mut house = House::new(&["ada"]);
     let observation = house.observation("ada", "away");
     let tell = |journal: &mut Notes| {
-        let mut again = board(&house.config);
+        let mut again = engine(&house.config);
         again.restore(journal.recovered(), BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns));
         again.step([], BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns)).unwrap();
         let mut told = Vec::new();
@@ -761,7 +761,7 @@ fn persons_who_come_back_after_gone_are_new() {
             house.enter(sits);
         } else {
             let entries = [goes, sits].map(|observation| Entry::new(observation, BootNs(house.now_ns)));
-            house.board.step(entries, BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns)).unwrap();
+            house.engine.step(entries, BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns)).unwrap();
         }
         house.enter(goes_again);
         assert_eq!(house.presence("guest"), Some(presence::GONE), "{is_told}");
@@ -775,15 +775,15 @@ fn names_without_accents_mean_the_same_person() {
     house.after(1, "zoe", "present");
     house.after(1, "zoe", "away");
     house.after(1, "ZOE", "present");
-    let named: Vec<_> = house.board.persons().iter().map(|(number, _)| number).collect();
+    let named: Vec<_> = house.engine.persons().iter().map(|(number, _)| number).collect();
     assert_eq!(named, [person_number("Zoë")]);
-    assert_eq!(house.board.persons().name_of(named[0]), Some("Zoë"));
+    assert_eq!(house.engine.persons().name_of(named[0]), Some("Zoë"));
     // A visitor keeps the first spelling, whatever the accents.
     house.after(1, "Renée", "present");
     house.after(1, "renee", "away");
     let renee = person_number("Renée");
-    assert_eq!(house.board.persons().name_of(renee), Some("Renée"));
-    assert_eq!(house.board.persons().count(), (2, 1));
+    assert_eq!(house.engine.persons().name_of(renee), Some("Renée"));
+    assert_eq!(house.engine.persons().count(), (2, 1));
 }
 
 #[test]
@@ -793,7 +793,7 @@ fn the_later_event_of_a_source_counts_despite_a_rounded_time() {
         house.after(1, "Ada", "They open the fridge.");
         house.now_ns -= earlier_ns;
         house.after(0, "Ada", "away");
-        let presence = house.board.persons().get(person_number("Ada")).unwrap().presence;
+        let presence = house.engine.persons().get(person_number("Ada")).unwrap().presence;
         assert_eq!(presence == Presence::Away, is_heard, "{earlier_ns} ns earlier");
     }
     // A newer event of another source still counts as later.
@@ -802,23 +802,23 @@ fn the_later_event_of_a_source_counts_despite_a_rounded_time() {
     house.after_by(9, "Ada", "They sit on the sofa.");
     house.now_ns -= S / 20;
     house.after(0, "Ada", "away");
-    assert_eq!(house.board.persons().get(person_number("Ada")).unwrap().presence, Presence::Present);
+    assert_eq!(house.engine.persons().get(person_number("Ada")).unwrap().presence, Presence::Present);
 }
 
 fn presences(house: &House) -> BTreeMap<PersonId, Presence> {
-    let here = house.board.persons().iter().filter(|(_, known)| known.presence != Presence::Gone);
+    let here = house.engine.persons().iter().filter(|(_, known)| known.presence != Presence::Gone);
     here.map(|(number, known)| (number, known.presence)).collect()
 }
 
 fn heard(house: &House) -> BTreeMap<PersonId, (Presence, i64)> {
-    let known = house.board.persons().iter();
+    let known = house.engine.persons().iter();
     known.map(|(number, known)| (number, (known.presence, known.heard_ns))).collect()
 }
 
 fn forget(house: &mut House, who: &str) -> PersonAnswer {
     let question = PersonQuestion::Forget { id: "1".to_owned(), who: who.to_owned() };
-    let House { board, journal, .. } = house;
-    let answer = journal.with(|handle| answer_about_person(board, Some(handle), Ok(question)));
+    let House { engine, journal, .. } = house;
+    let answer = journal.with(|handle| answer_about_person(engine, Some(handle), Ok(question)));
     house.step(None);
     answer
 }
@@ -874,7 +874,7 @@ proptest::proptest! {
     ) {
         let mut house = House::new(&["Anna", "Ben"]);
         narrate(&mut house, &said);
-        let forgotten = house.board.persons().number_of(COMPANY[who]);
+        let forgotten = house.engine.persons().number_of(COMPANY[who]);
         let mut before = presences(&house);
         let records = house.journal.records.clone();
         forget(&mut house, COMPANY[who]);
@@ -978,8 +978,8 @@ fn sentences_that_name_a_forgotten_person_leave_the_journal() {
     for (who, what) in [("ben", "They sit down."), ("Tom", "They sit down."), ("Tom", "Tom hugs Ben MARK.")] {
         house.after(1, who, what);
     }
-    house.board.rename(person_number("ben"), "Ana-Maria").unwrap();
-    assert_eq!(house.board.persons().file().persons()[0].former, ["ben"]);
+    house.engine.rename(person_number("ben"), "Ana-Maria").unwrap();
+    assert_eq!(house.engine.persons().file().persons()[0].former, ["ben"]);
     house.after(1, "Tom", "Tom hugs Ana Maria MARK.");
     house.after(1, "Tom", "Tom takes Ben's cup MARK.");
     assert!(forget(&mut house, "ana-maria").done);
@@ -998,7 +998,7 @@ fn forgotten_persons_leave_the_windows_of_others() {
         house.after(1, who, said);
     }
     let told = |house: &House| {
-        let histories = house.board.pipeline().inside().histories().iter();
+        let histories = house.engine.pipeline().inside().histories().iter();
         histories.flat_map(|(_, history)| history.sentences()).map(str::to_owned).collect::<Vec<_>>()
     };
     assert_eq!(told(&house).len(), 4);
@@ -1071,7 +1071,7 @@ fn counted_persons_are_limited_by_residents_and_visitors() {
 #[test]
 fn narrators_that_may_only_report_actions_set_no_presence() {
     let mut house = House::new(&["Ada"]);
-    house.board = std::mem::replace(&mut house.board, board(&house.config)).with_named([(7, May::DID)]);
+    house.engine = std::mem::replace(&mut house.engine, engine(&house.config)).with_named([(7, May::DID)]);
     house.after(1, "Ada", "They open the fridge.");
     for (who, text) in
         [("Ada", "away"), ("somebody", "Ada leaves the house."), ("somebody", "Everybody leaves the house.")]
@@ -1079,7 +1079,7 @@ fn narrators_that_may_only_report_actions_set_no_presence() {
         house.after(1, who, text);
         assert_eq!(house.presence("Ada"), Some(presence::PRESENT), "{text}");
     }
-    let lines = house.board.understood_lines(7, 1, 1);
+    let lines = house.engine.understood_lines(7, 1, 1);
     assert_eq!(lines.len(), 4);
     assert!(lines[1].why.as_deref().is_some_and(|why| why.contains("may not set presence")), "{lines:?}");
 }
@@ -1098,7 +1098,7 @@ fn narrators_learn_how_their_events_were_understood() {
     ] {
         house.after(1, who, text);
     }
-    let lines = house.board.understood_lines(7, 1, 1);
+    let lines = house.engine.understood_lines(7, 1, 1);
     let shown = |line: &UnderstoodLine| {
         let persons: Vec<_> = line.persons.iter().filter_map(|person| person.name.as_deref()).collect();
         let place = line.place.as_deref().unwrap_or("-");
@@ -1125,7 +1125,7 @@ fn forgotten_persons_are_in_no_explanation() {
     let mut house = House::new(&["Ada"]);
     house.after(1, "Igor", "They sit on the sofa.");
     house.after(1, "somebody", "Ada hugs Igor.");
-    assert_eq!(house.board.understood_lines(7, 1, 1).len(), 2);
+    assert_eq!(house.engine.understood_lines(7, 1, 1).len(), 2);
     assert!(forget(&mut house, "igor").done);
-    assert_eq!(house.board.understood_lines(7, 1, 1).len(), 0);
+    assert_eq!(house.engine.understood_lines(7, 1, 1).len(), 0);
 }

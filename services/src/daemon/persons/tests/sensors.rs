@@ -23,7 +23,7 @@ struct Flat(House);
 impl Flat {
     fn new() -> Self {
         let mut house = House::new(&["Jon", "Mira"]);
-        house.board = board_of(FLAT, &house.config);
+        house.engine = board_of(FLAT, &house.config);
         let mut own = Self(house);
         for device in ALL {
             own.after(1, device, device.0 == "phone");
@@ -45,10 +45,10 @@ impl Flat {
 
     /// The probability that a person is in a room now; of `""`, out of the house.
     fn at(&mut self, who: &str, room: &str) -> f32 {
-        let number = self.0.board.persons().number_of(who);
+        let number = self.0.engine.persons().number_of(who);
         let now_ns = self.0.now_ns;
-        let scores = *self.0.board.person_scores(BootNs(now_ns));
-        let forecasts = *self.0.board.person_forecasts(BootNs(now_ns));
+        let scores = *self.0.engine.person_scores(BootNs(now_ns));
+        let forecasts = *self.0.engine.person_forecasts(BootNs(now_ns));
         forecasts.check().unwrap();
         let place = scores.persons().iter().position(|own| own.person == number.0).unwrap();
         let own = &forecasts.person[place];
@@ -59,18 +59,18 @@ impl Flat {
     }
 
     fn room(&self, id: &str) -> Option<usize> {
-        self.0.board.room_ids().position(|room| room == id)
+        self.0.engine.room_ids().position(|room| room == id)
     }
 
     fn occupied(&mut self, room: &str) -> f32 {
         let room = self.room(room).unwrap();
-        let forecast = self.0.board.forecast(BootNs(self.0.now_ns));
+        let forecast = self.0.engine.forecast(BootNs(self.0.now_ns));
         forecast.check().unwrap();
         forecast.probability[room][0]
     }
 
     fn house_empty(&mut self) -> f32 {
-        self.0.board.forecast(BootNs(self.0.now_ns)).elsewhere[0]
+        self.0.engine.forecast(BootNs(self.0.now_ns)).elsewhere[0]
     }
 }
 
@@ -139,7 +139,7 @@ fn persons_that_come_home_are_present_at_once() {
 #[test]
 fn events_with_a_date_of_1970_cost_no_time_and_no_belief() {
     let mut house = House::new(&["Jon", "Mira"]);
-    house.board = board_of(FLAT, &house.config);
+    house.engine = board_of(FLAT, &house.config);
     let old = |own: Observation| Observation { observed_ns: BootNs(0), observed_unix_ns: UnixNs(S), ..own };
     let first = old(house.observation("somebody", r#"{"sensor":"motion","id":"m","room":"corridor","on":true}"#));
     house.enter(first);
@@ -161,7 +161,7 @@ fn late_unnamed_events_and_late_reports_move_nobody_and_say_why() {
     for observation in [text, newer, sensor] {
         flat.0.enter(observation);
     }
-    let lines = flat.0.board.understood_lines(7, 1, 1);
+    let lines = flat.0.engine.understood_lines(7, 1, 1);
     let why: Vec<_> = lines.iter().rev().take(3).map(|line| (line.persons.len(), line.why.clone())).collect();
     let outdated = (0, Some("a later event of this person or device says otherwise".to_owned()));
     assert_eq!(why, [outdated.clone(), (0, None), outdated]);
@@ -213,7 +213,7 @@ fn unnamed_actions_go_to_the_person_in_the_room_and_else_to_nobody() {
     assert!(told(&mut flat, "Jon") && !told(&mut flat, "Mira"));
     flat.0.after(5, "somebody", "They laugh.");
     assert!(!told(&mut flat, "Jon") && !told(&mut flat, "Mira"));
-    let lines = flat.0.board.understood_lines(7, 1, 1);
+    let lines = flat.0.engine.understood_lines(7, 1, 1);
     assert!(lines.last().unwrap().why.as_deref().unwrap().contains("several persons"), "{lines:?}");
 }
 
@@ -221,7 +221,7 @@ fn unnamed_actions_go_to_the_person_in_the_room_and_else_to_nobody() {
 fn sensors_of_unknown_rooms_change_nothing_and_say_why() {
     let mut flat = Flat::new();
     flat.after(1, ("motion", "attic", "attic", ""), true);
-    let line = flat.0.board.understood_lines(7, 1, 1).pop().unwrap();
+    let line = flat.0.engine.understood_lines(7, 1, 1).pop().unwrap();
     assert_eq!((line.event.as_str(), line.persons.len()), ("sensor", 0));
     assert!(line.why.as_deref().unwrap().contains("lacks the room"), "{line:?}");
 }
@@ -242,8 +242,8 @@ fn sensors_outlive_a_restart() {
     flat.0.after(60, "Mira", "They sit on the sofa.");
     flat.after(1, LIVING, true);
     let before = (flat.at("Jon", "bedroom"), flat.at("Mira", "living-room"), flat.occupied("kitchen"));
-    let board = board_of(FLAT, &flat.0.config);
-    flat.0.restart_on(board);
+    let engine = board_of(FLAT, &flat.0.config);
+    flat.0.restart_on(engine);
     let after = (flat.at("Jon", "bedroom"), flat.at("Mira", "living-room"), flat.occupied("kitchen"));
     let are_near = |a: f32, b: f32| (a - b).abs() < 0.01;
     assert!(
@@ -282,7 +282,7 @@ fn the_motion_of_a_robot_is_explained_also_after_a_restart() {
     let mut report = RobotReportV1 { kind: report_kind::STARTED, robot: 5, ..Default::default() };
     for (room, sensor) in [("corridor", CORRIDOR), ("kitchen", KITCHEN), ("bathroom", BATHROOM)] {
         report.room = text::encode("room", room).unwrap();
-        flat.0.board.see_report(&report, BootNs(flat.0.now_ns));
+        flat.0.engine.see_report(&report, BootNs(flat.0.now_ns));
         for _ in 0..4 {
             flat.after(5, sensor, true);
             flat.after(60, sensor, false);

@@ -19,7 +19,7 @@ use roomcast_ipc::raw::{
 use roomcast_ipc::text;
 
 use super::belief::Belief;
-use super::{BoardError, HORIZONS_S, HomeHabits};
+use super::{EngineError, HORIZONS_S, HomeHabits};
 use crate::daemon::persons::{Persons, message_ns, presence_value};
 
 /// The house counts as empty above this probability.
@@ -47,7 +47,7 @@ impl Publication {
         pipeline: &Pipeline<M>,
         map: &SemanticMap,
         epoch: u64,
-    ) -> Result<Self, BoardError> {
+    ) -> Result<Self, EngineError> {
         let (room, room_count) = named_rooms(pipeline.grounding().partitions())?;
         let snapshot = RoomScoresV1 {
             epoch,
@@ -327,7 +327,7 @@ impl Publication {
         self.newest_sources.clear();
         for own in &scores.included {
             let newer =
-                scores.included.iter().filter(|other| other.voice == own.voice && other.turn > own.turn).count();
+                scores.included.iter().filter(|other| other.quota == own.quota && other.turn > own.turn).count();
             self.newest_sources.push((newer, *own));
         }
         // The newest start of each quota first, so that one narrator's starts push out no confirmation of another. Ties are ordered by source, so
@@ -491,13 +491,13 @@ fn reached_value(effort: Effort) -> u32 {
 /// The rooms of a message, and their number.
 pub(super) type NamedRooms = ([RoomV1; MAX_ROOMS], u32);
 
-pub(super) fn named_rooms(partitions: &[Partition]) -> Result<NamedRooms, BoardError> {
+pub(super) fn named_rooms(partitions: &[Partition]) -> Result<NamedRooms, EngineError> {
     if partitions.len() > MAX_ROOMS {
-        return Err(BoardError::TooManyPartitions { partitions: partitions.len() });
+        return Err(EngineError::TooManyPartitions { partitions: partitions.len() });
     }
     let mut rooms = [RoomV1::default(); MAX_ROOMS];
     for (room, partition) in rooms.iter_mut().zip(partitions) {
-        let name = |source| BoardError::Name { id: partition.id.clone(), source };
+        let name = |source| EngineError::Name { id: partition.id.clone(), source };
         room.id = text::encode("room id", &partition.id).map_err(name)?;
     }
     Ok((rooms, partitions.len() as u32))

@@ -1,4 +1,4 @@
-//! The prefetcher's thread ([`Ahead`]) at a low priority, so that other threads get most of its core. It stops within one small call of the model
+//! The prefetcher's thread ([`Prefetcher`]) at a low priority, so that other threads get most of its core. It stops within one small call of the model
 //! when an event arrives, and continues with the next [`Now`].
 
 use std::io;
@@ -14,7 +14,7 @@ use rustix::process::nice;
 use rustix::time::{ClockId, clock_gettime};
 
 use super::LOG_INTERVAL_NS;
-use super::ahead::{Ahead, Now};
+use super::prefetch::{Now, Prefetcher};
 use crate::clock;
 use crate::logging::Limiter;
 use crate::power;
@@ -33,7 +33,7 @@ struct Shared {
 }
 
 #[derive(Debug)]
-pub(super) struct Desk {
+pub(super) struct PrefetchHandle {
     shared: Arc<Shared>,
     now: Sender<(u64, Now)>,
     /// Takes back a look that the prefetcher has not read.
@@ -43,7 +43,7 @@ pub(super) struct Desk {
 
 /// The prefetcher's side.
 #[derive(Debug)]
-pub(super) struct Aside {
+pub(super) struct PrefetchThread {
     shared: Arc<Shared>,
     now: Receiver<(u64, Now)>,
     answers: Sender<Answer>,
@@ -54,15 +54,16 @@ pub(super) struct Aside {
 }
 
 /// The two sides. The prefetcher uses at most `share` of a core, and on battery none unless `on_battery`.
-pub(super) fn pair(share: f64, on_battery: bool) -> (Desk, Aside) {
+pub(super) fn pair(share: f64, on_battery: bool) -> (PrefetchHandle, PrefetchThread) {
     let shared = Arc::<Shared>::default();
     let ((now, unread), (answered, answers)) = (bounded(1), bounded(ANSWERS_MAX));
     let log = Limiter::new(LOG_INTERVAL_NS);
-    let aside = Aside { shared: Arc::clone(&shared), now: unread.clone(), answers: answered, share, on_battery, log };
-    (Desk { shared, now, unread, answers }, aside)
+    let prefetching =
+        PrefetchThread { shared: Arc::clone(&shared), now: unread.clone(), answers: answered, share, on_battery, log };
+    (PrefetchHandle { shared, now, unread, answers }, prefetching)
 }
 
-impl Desk {
+impl PrefetchHandle {
     /// Stops the current guess: an event arrived, and the guess would take its core and memory.
     pub(super) fn interrupt(&self) {
         self.shared.moment.fetch_add(1, Ordering::SeqCst);
@@ -88,14 +89,14 @@ impl Desk {
     }
 }
 
-impl Drop for Desk {
+impl Drop for PrefetchHandle {
     /// The thread then ends within one small call of the model.
     fn drop(&mut self) {
         self.interrupt();
     }
 }
 
-impl Aside {
+impl PrefetchThread {
     /// Tells the model whether the work is stale.
     pub(super) fn is_stopped(&self) -> IsStopped {
         let shared = Arc::clone(&self.shared);
@@ -103,7 +104,7 @@ impl Aside {
     }
 
     /// Runs until the other side ends.
-    pub(super) fn run<M: LanguageModel, D: LanguageModel>(mut self, mut ahead: Ahead<M, D>) {
+    pub(super) fn run<M: LanguageModel, D: LanguageModel>(mut self, mut ahead: Prefetcher<M, D>) {
         if let Err(error) = lower_priority() {
             tracing::warn!(%error, "answers are prepared at the priority of everything else: the system does not lower it");
         }
@@ -139,7 +140,7 @@ impl Aside {
         }
     }
 
-    fn answer<M: LanguageModel, D: LanguageModel>(&mut self, ahead: &mut Ahead<M, D>, rests_until: &mut Instant) {
+    fn answer<M: LanguageModel, D: LanguageModel>(&mut self, ahead: &mut Prefetcher<M, D>, rests_until: &mut Instant) {
         match self.work(rests_until, || ahead.answer()) {
             // A full queue means that the scoring thread is busy; these answers would soon be stale.
             Ok(Some(answer)) => drop(self.answers.try_send(answer)),

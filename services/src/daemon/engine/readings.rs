@@ -9,7 +9,7 @@ use std::sync::Arc;
 use roomcast_core::narration::Event;
 use roomcast_core::scorer::LanguageModel;
 
-use super::Board;
+use super::Engine;
 use super::attribution::is_off;
 
 /// Most texts whose rooms are kept, so that repeated texts cost no second pass of the model.
@@ -39,7 +39,7 @@ impl Readings {
     }
 }
 
-impl<M: LanguageModel> Board<M> {
+impl<M: LanguageModel> Engine<M> {
     /// Lets texts without a place move the belief: the model knows language.
     #[must_use]
     pub(in crate::daemon) fn with_readings(mut self) -> Self {
@@ -58,7 +58,7 @@ impl<M: LanguageModel> Board<M> {
             return Some(Arc::clone(kept));
         }
         own.left = own.left.checked_sub(1)?;
-        let mut model = self.scoring.pipeline.ahead();
+        let mut model = self.scoring.pipeline.idle();
         let rooms = model.rooms_of(text).and_then(|(rooms, trust)| {
             if own.blank.len() != rooms.len() {
                 (own.blank, _) = model.rooms_of("")?;

@@ -5,7 +5,7 @@ use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_ipc::raw::{LEARNED_SHARE_S, RoomV1};
 
-use super::{Board, HORIZONS_S};
+use super::{Engine, HORIZONS_S};
 use crate::daemon::habits::PlaceSet;
 use crate::habits_reason::{ELSEWHERE, HorizonLine, PersonHabits, RoomReason, ThingReason};
 use crate::moment::Moment;
@@ -13,7 +13,7 @@ use crate::moment::Moment;
 /// Most things in an explanation by habits.
 const REASONS: usize = 12;
 
-impl<M: LanguageModel> Board<M> {
+impl<M: LanguageModel> Engine<M> {
     /// The data behind the newest scores, and the habits, with the forecasts of `now_ns`.
     #[must_use]
     pub fn moment(&mut self, now_ns: BootNs) -> Moment {

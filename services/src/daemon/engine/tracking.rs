@@ -127,7 +127,7 @@ pub(super) struct Said<'a> {
     /// The person lies down, or sleeps.
     pub(super) is_lying: bool,
     /// The narrator is one that the configuration does not know.
-    pub(super) is_strange: bool,
+    pub(super) is_unknown: bool,
     /// Of an event of a former run: whether a robot was in the sensor's room then.
     pub(super) robot: Option<bool>,
 }
@@ -289,7 +289,7 @@ impl Tracking {
             None => None,
         };
         (self.room, self.had_robot) = (said.room, false);
-        let trust = if said.is_strange { TRUST_OTHERS } else { TRUST };
+        let trust = if said.is_unknown { TRUST_OTHERS } else { TRUST };
         let observation = match said.event {
             Event::Sensor(report) => {
                 let Some(sensor) = self.sensor_of(home, (said.source, report), said.who) else { return false };

@@ -6,7 +6,7 @@ use roomcast_core::tracker::Cause;
 
 use super::super::person_question::{NoisySensor, PlaceLine, UnderstoodPerson, Whereabouts, WhyLine};
 use super::tracking::Tracking;
-use super::{Board, seconds};
+use super::{Engine, seconds};
 use crate::habits_reason::ELSEWHERE;
 
 /// Less probable places are left out.
@@ -14,7 +14,7 @@ const LEAST: f64 = 0.005;
 /// An event is clear above the first change of the log-odds, and strong above the second.
 const CLEAR: (f64, f64) = (0.7, 2.0);
 
-impl<M: LanguageModel> Board<M> {
+impl<M: LanguageModel> Engine<M> {
     /// Where a person is believed to be at a time, and why.
     pub(in crate::daemon) fn whereabouts(&mut self, person: PersonId, now_ns: BootNs) -> Whereabouts {
         self.forecast(now_ns);

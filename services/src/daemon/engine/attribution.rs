@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use roomcast_core::grounding::Grounding;
 use roomcast_core::ids::PersonId;
 use roomcast_core::narration::forms::{self, COUNT_MAX, Subject};
-use roomcast_core::narration::{DeviceState, Event, Observation, Presence, SensorKind, Voice, same_name};
+use roomcast_core::narration::{DeviceState, Event, Observation, Presence, Quota, SensorKind, same_name};
 use roomcast_core::scorer::LanguageModel;
 
 use super::super::journal::Move;
@@ -17,7 +17,7 @@ use super::belief::Seen;
 use super::map_in_use::{MapInUse, rooms_alike};
 use super::records::Attributed;
 use super::tracking::Said;
-use super::{Board, seconds};
+use super::{Engine, seconds};
 use crate::config::May;
 
 /// A person takes an unnamed event above this share: more than one half, and no rounding.
@@ -220,13 +220,13 @@ impl Attribution {
     }
 }
 
-impl<M: LanguageModel> Board<M> {
+impl<M: LanguageModel> Engine<M> {
     /// Takes in an event and gives the part of each person to `enter`. Gives whether the event reads the same in any company, and otherwise its
     /// moves, so that a restart does not read it again.
     pub(super) fn attribute(
         &mut self,
         observation: Observation,
-        voice: Voice,
+        quota: Quota,
         reporter: Reporter,
         at_ns: Option<i64>,
         mut enter: impl FnMut(&mut Self, Observation),
@@ -264,13 +264,13 @@ impl<M: LanguageModel> Board<M> {
             self.attribution.understood.add(understood);
             return (false, moves);
         }
-        let mut take = |board: &mut Self, own: Observation| match board.take(own, voice, (reporter, false), at_ns) {
+        let mut take = |engine: &mut Self, own: Observation| match engine.take(own, quota, (reporter, false), at_ns) {
             Ok(own) => {
                 understood.add_person(own.person);
                 if !is_read_alone {
                     moves.push(Move::of(&own, &observed));
                 }
-                enter(board, own);
+                enter(engine, own);
             }
             Err(reason) => understood.reason = Some(reason),
         };
@@ -427,7 +427,7 @@ impl<M: LanguageModel> Board<M> {
             is_named: row.is_some(),
             room,
             is_lying,
-            is_strange: reporter.is_unknown,
+            is_unknown: reporter.is_unknown,
             robot: self.belief.restored_robot,
         };
         let home = (&self.map.map, grounding);
@@ -550,7 +550,7 @@ impl<M: LanguageModel> Board<M> {
             self.exclude(&own, reporter, at_ns);
             return None;
         }
-        self.take(own, Voice::EARLIER, (reporter, true), at_ns).ok()
+        self.take(own, Quota::EARLIER, (reporter, true), at_ns).ok()
     }
 
     /// Takes in the part of one person, unless a later event says otherwise or the person is guarded. A part that a former run took in counts
@@ -558,7 +558,7 @@ impl<M: LanguageModel> Board<M> {
     pub(super) fn take(
         &mut self,
         observation: Observation,
-        voice: Voice,
+        quota: Quota,
         (reporter, was_taken): (Reporter, bool),
         at_ns: Option<i64>,
     ) -> Result<Observation, Reason> {
@@ -581,7 +581,7 @@ impl<M: LanguageModel> Board<M> {
         }
         let did_ns = self.attribution.persons.get(observation.person).map_or(i64::MIN, |known| known.did_ns);
         let silent_s = seconds(noted_ns.saturating_sub(did_ns));
-        if let Some(dropped) = self.attribution.persons.note(&observation, voice, noted_ns) {
+        if let Some(dropped) = self.attribution.persons.note(&observation, quota, noted_ns) {
             self.drop_person(dropped);
         }
         if !reporter.is_unknown {

@@ -8,11 +8,11 @@ use crate::prepared::{Answer, Outlook, PersonOutlook};
 use crate::prompt::write_prompt;
 use crate::scorer::{LabelScores, LanguageModel, Progress, ScoreError, Tokenisation};
 
-/// Prefetches answers and does idle-time work: [`Pipeline::ahead`].
+/// Prefetches answers and does idle-time work: [`Pipeline::idle`].
 #[derive(Debug)]
-pub struct Ahead<'a, M>(pub(super) &'a mut Pipeline<M>);
+pub struct Idle<'a, M>(pub(super) &'a mut Pipeline<M>);
 
-impl<M: LanguageModel> Ahead<'_, M> {
+impl<M: LanguageModel> Idle<'_, M> {
     /// Registers `moved`, which is called after each call of the decoder, so that a watchdog does not take a long step for a hang.
     pub fn watch(&mut self, moved: Progress) {
         self.0.scorer.watch(moved);
@@ -102,11 +102,11 @@ impl<M: LanguageModel> Ahead<'_, M> {
         if persons.iter().filter(|person| person.at_home).nth(1).is_some() {
             // Another person's event takes the model's cache, and this window stays for the next event of this person.
             write(prompt, 0);
-            note(scorer.read_aside(prompt, 1));
+            note(scorer.read_part(prompt, 1));
         }
         if let Some((leave, events)) = history.next_cut() {
             write(prompt, leave);
-            note(scorer.read_aside(prompt, if is_idle { 1 } else { events }));
+            note(scorer.read_part(prompt, if is_idle { 1 } else { events }));
         }
         !is_read
     }

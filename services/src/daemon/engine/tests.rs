@@ -21,19 +21,19 @@ use super::*;
 
 use crate::config::PersonsConfig;
 use crate::daemon::PersonsFile;
-use crate::daemon::ahead::Ahead;
 use crate::daemon::journal::{Expectation, Recovered};
+use crate::daemon::prefetch::Prefetcher;
 use crate::message_text::event_of;
 
 const S: u64 = 1_000_000_000;
 const TWO_ROOMS: &str = include_str!("../../../../tests/data/two_rooms.json");
 
-fn board() -> Board<TableModel> {
+fn engine() -> Engine<TableModel> {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let options = GroundingOptions::default();
     let grounding = Grounding::new(&map, &options).unwrap();
     let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
-    Board::new(pipeline, map, options, 1).unwrap()
+    Engine::new(pipeline, map, options, 1).unwrap()
 }
 
 fn observation(person: PersonId, at_ns: u64, sentence: &str) -> Observation {
@@ -54,14 +54,14 @@ proptest! {
     ) {
         const NAMED: u64 = 7;
         let config = || PersonsConfig { residents: vec!["0".to_owned(), "1".to_owned()], guard_s: 600.0, ..PersonsConfig::default() };
-        let home = || board().with_persons(Persons::new(config(), PersonsFile::default())).with_named([(NAMED, May::ALL)]);
-        let own = Voice { number: NAMED, share: 1 };
-        let strange = Voice { number: OTHERS, share: 1 };
-        let entry = |source: u64, voice: Voice, person: PersonId, at_ns: u64, text: &str| {
+        let home = || engine().with_persons(Persons::new(config(), PersonsFile::default())).with_named([(NAMED, May::ALL)]);
+        let own = Quota { number: NAMED, share: 1 };
+        let strange = Quota { number: OTHERS, share: 1 };
+        let entry = |source: u64, quota: Quota, person: PersonId, at_ns: u64, text: &str| {
             let kind = if text.starts_with("They") { narration_kind::SENTENCE } else { narration_kind::PRESENCE };
             let event = event_of(kind, text).unwrap();
             let observation = Observation { source, person, event, ..observation(person, at_ns, "They sit.") };
-            Entry { voice, ..Entry::new(observation, BootNs(at_ns)) }
+            Entry { quota, ..Entry::new(observation, BootNs(at_ns)) }
         };
         let (mut with, mut without) = (home(), home());
         let (mut heard, mut heard_alone) = (Vec::new(), Vec::new());
@@ -99,7 +99,7 @@ proptest! {
                 with.step([own.clone()], BootNs(at_ns), UnixNs(1_000_000 * S + at_ns)).unwrap();
                 without.step([own], BootNs(at_ns), UnixNs(1_000_000 * S + at_ns)).unwrap();
             }
-            let rooms = |board: &Board<TableModel>| board.snapshot().rooms().iter().map(|room| room.probability).collect::<Vec<_>>();
+            let rooms = |engine: &Engine<TableModel>| engine.snapshot().rooms().iter().map(|room| room.probability).collect::<Vec<_>>();
             for (with, without) in rooms(&with).iter().zip(rooms(&without)) {
                 prop_assert!(*with >= without - 1e-12, "{with} is less than {without}");
             }
@@ -134,18 +134,18 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
         guard_s: 600.0,
         ..PersonsConfig::default()
     };
-    let home = || board().with_persons(Persons::new(config(), PersonsFile::default())).with_named([(NAMED, May::ALL)]);
-    let strange_voice = Voice { number: OTHERS, share: 1 };
-    let told = |voice: Voice, source: u64, epoch: u64, at_s: u64, sentence: &str| {
+    let home = || engine().with_persons(Persons::new(config(), PersonsFile::default())).with_named([(NAMED, May::ALL)]);
+    let strange_voice = Quota { number: OTHERS, share: 1 };
+    let told = |quota: Quota, source: u64, epoch: u64, at_s: u64, sentence: &str| {
         let event = event_of(narration_kind::SENTENCE, sentence).unwrap();
         let whole = Observation { source, epoch, event, ..observation(PersonId::SOMEBODY, at_s * S, "They sit.") };
-        Entry { voice, ..Entry::new(whole, BootNs(at_s * S)) }
+        Entry { quota, ..Entry::new(whole, BootNs(at_s * S)) }
     };
-    let own = |at_s: u64, sentence: &str| told(Voice { number: NAMED, share: 1 }, NAMED, 1, at_s, sentence);
-    let of = |board: &Board<TableModel>| {
+    let own = |at_s: u64, sentence: &str| told(Quota { number: NAMED, share: 1 }, NAMED, 1, at_s, sentence);
+    let of = |engine: &Engine<TableModel>| {
         let read: Vec<_> =
-            board.pipeline().inside().read_sentences().map(|(person, said)| (person, said.to_owned())).collect();
-        let persons = &board.persons();
+            engine.pipeline().inside().read_sentences().map(|(person, said)| (person, said.to_owned())).collect();
+        let persons = &engine.persons();
         let ours = ["ada", "ben"].map(|who| persons.number_of(who));
         let presences = ours.map(|number| persons.get(number).map(|known| known.presence));
         (read.into_iter().filter(|(person, _)| ours.contains(person)).collect::<Vec<_>>(), presences)
@@ -170,16 +170,16 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
                 "They come home.",
             ] {
                 let (mut with, mut without) = (home(), home());
-                for board in [&mut with, &mut without] {
+                for engine in [&mut with, &mut without] {
                     for entry in [own(1000, "Ben sits on the sofa."), own(1010, "Ada opens the fridge.")] {
                         let at_ns = entry.received_ns;
-                        board.step([entry], at_ns, UnixNs(1_000_000 * S + at_ns.0)).unwrap();
+                        engine.step([entry], at_ns, UnixNs(1_000_000 * S + at_ns.0)).unwrap();
                     }
                 }
                 let entry = told(strange_voice, source, epoch, 1020, strange);
                 with.step([entry], BootNs(1020 * S), UnixNs(1_001_020 * S)).unwrap();
                 without.step([], BootNs(1020 * S), UnixNs(1_001_020 * S)).unwrap();
-                for board in [&mut with, &mut without] {
+                for engine in [&mut with, &mut without] {
                     let entry = match said {
                         "away" => Entry {
                             observation: Observation {
@@ -190,7 +190,7 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
                         },
                         _ => own(1025, said),
                     };
-                    board.step([entry], BootNs(1025 * S), UnixNs(1_001_025 * S)).unwrap();
+                    engine.step([entry], BootNs(1025 * S), UnixNs(1_001_025 * S)).unwrap();
                 }
                 assert_eq!(of(&with), of(&without), "{strange} by {source}, then {said}");
             }
@@ -203,15 +203,15 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
 fn a_guard_ends() {
     let config = |guard_s| PersonsConfig { guard_s, ..PersonsConfig::default() };
     for (guard_s, later_s, is_heard) in [(0.0, 1, true), (600.0, 599, false), (600.0, 602, true)] {
-        let mut board =
-            board().with_persons(Persons::new(config(guard_s), PersonsFile::default())).with_named([(1, May::ALL)]);
+        let mut engine =
+            engine().with_persons(Persons::new(config(guard_s), PersonsFile::default())).with_named([(1, May::ALL)]);
         let at_ns = 1000 * S;
         let later_ns = at_ns + later_s * S;
         let own = Entry::new(observation(PersonId(0), at_ns, "They open the fridge."), BootNs(at_ns));
         let strange = Observation { source: 9, ..observation(PersonId(0), later_ns, "They sit on the sofa.") };
-        let strange = Entry { voice: Voice { number: OTHERS, share: 1 }, ..Entry::new(strange, BootNs(later_ns)) };
-        board.step([own, strange], BootNs(later_ns), UnixNs(1_000_000 * S + later_ns)).unwrap();
-        let read: Vec<_> = board.pipeline().inside().read_sentences().map(|(_, said)| said.to_owned()).collect();
+        let strange = Entry { quota: Quota { number: OTHERS, share: 1 }, ..Entry::new(strange, BootNs(later_ns)) };
+        engine.step([own, strange], BootNs(later_ns), UnixNs(1_000_000 * S + later_ns)).unwrap();
+        let read: Vec<_> = engine.pipeline().inside().read_sentences().map(|(_, said)| said.to_owned()).collect();
         assert_eq!(read.contains(&"They sit on the sofa.".to_owned()), is_heard, "{guard_s} {later_s}: {read:?}");
     }
 }
@@ -228,15 +228,15 @@ fn said(text: &str) -> Event {
 fn texts_without_a_place_move_the_belief_by_the_models_rooms_also_after_a_restart() {
     let events =
         [entry(PersonId(0), 1000 * S, "They open the fridge."), entry(PersonId(0), 1060 * S, "They hum a tune.")];
-    let play = |mut board: Board<TableModel>| {
+    let play = |mut engine: Engine<TableModel>| {
         for entry in events.clone() {
             let at_ns = entry.received_ns;
-            board.step([entry], at_ns, UnixNs(1_000_000 * S + at_ns.0)).unwrap();
-            board.forecast(at_ns);
+            engine.step([entry], at_ns, UnixNs(1_000_000 * S + at_ns.0)).unwrap();
+            engine.forecast(at_ns);
         }
-        board
+        engine
     };
-    let (mut with, mut without) = (play(board().with_readings()), play(board()));
+    let (mut with, mut without) = (play(engine().with_readings()), play(engine()));
     let fits = with.reading(&said("They hum a tune.")).unwrap();
     let room = usize::from(fits[1] > fits[0]);
     let moved = occupied(&mut with, room, 1060 * S);
@@ -245,7 +245,7 @@ fn texts_without_a_place_move_the_belief_by_the_models_rooms_also_after_a_restar
         with.reading(&said("They open the fridge.")).is_none() && with.reading(&said("The lamp is off.")).is_none()
     );
 
-    let mut again = board().with_readings();
+    let mut again = engine().with_readings();
     again.restore(recovered(events.map(|own| own.observation)), BootNs(1060 * S), UnixNs(1_001_060 * S));
     again.step([], BootNs(1060 * S), UnixNs(1_001_060 * S)).unwrap();
     assert_eq!(occupied(&mut again, room, 1060 * S), moved);
@@ -253,11 +253,11 @@ fn texts_without_a_place_move_the_belief_by_the_models_rooms_also_after_a_restar
 
 #[test]
 fn a_step_reads_a_bounded_number_of_texts() {
-    let mut board = board().with_readings();
-    board.scoring.readings.begin();
-    let read = (0..20).filter(|number| board.reading(&said(&format!("They hum tune {number}."))).is_some()).count();
+    let mut engine = engine().with_readings();
+    engine.scoring.readings.begin();
+    let read = (0..20).filter(|number| engine.reading(&said(&format!("They hum tune {number}."))).is_some()).count();
     assert_eq!(read, 8);
-    assert!(board.reading(&said("They hum tune 0.")).is_some(), "a repeated text needs no pass");
+    assert!(engine.reading(&said("They hum tune 0.")).is_some(), "a repeated text needs no pass");
 }
 
 #[test]
@@ -265,15 +265,15 @@ fn the_shipped_model_puts_cooks_into_the_kitchen_and_sleepers_into_the_bedroom()
     let map = SemanticMap::from_json(crate::embedded::scene("flat").unwrap().text).unwrap();
     let model = crate::setup::load_model(None, &roomcast_llama::LlamaOptions::default()).unwrap();
     let pipeline = Pipeline::of(&map, model).unwrap();
-    let mut board = Board::new(pipeline, map, GroundingOptions::default(), 1).unwrap().with_readings();
-    board.scoring.readings.begin();
+    let mut engine = Engine::new(pipeline, map, GroundingOptions::default(), 1).unwrap().with_readings();
+    engine.scoring.readings.begin();
     for (text, room) in [
         ("Mira is cooking.", "kitchen"),
         ("A woman is chopping vegetables.", "kitchen"),
         ("Jon goes to sleep.", "bedroom"),
     ] {
-        let fits = board.reading(&said(text)).unwrap();
-        let own = board.room_ids().position(|id| id == room).unwrap();
+        let fits = engine.reading(&said(text)).unwrap();
+        let own = engine.room_ids().position(|id| id == room).unwrap();
         let others = fits.iter().enumerate().filter(|(other, _)| *other != own).map(|(_, fits)| *fits);
         assert!(fits[own] > 2.0 * others.fold(0.0, f64::max), "{text} {fits:?}");
     }
@@ -283,19 +283,19 @@ fn the_shipped_model_puts_cooks_into_the_kitchen_and_sleepers_into_the_bedroom()
 #[test]
 fn what_was_said_after_an_observation_of_somebody_else_is_not_believed() {
     let said = |person: PersonId, index: usize, probability: [f32; 2]| {
-        let expectation = Expectation { map: board().map.number(), paces: None, probability: probability.to_vec() };
+        let expectation = Expectation { map: engine().map.number(), paces: None, probability: probability.to_vec() };
         (index, person, expectation)
     };
     let restored = |expectations: Vec<_>| {
-        let mut board = board();
+        let mut engine = engine();
         let observations = [
             observation(PersonId(1), 10 * S, "They open the fridge."),
             observation(PersonId(2), 20 * S, "They sit on the sofa."),
         ];
         let mut recovered = recovered(observations);
         recovered.expectations = expectations;
-        board.restore(recovered, BootNs(30 * S), UnixNs(1_000_000 * S + 30 * S));
-        board.forecast(BootNs(40 * S)).probability
+        engine.restore(recovered, BootNs(30 * S), UnixNs(1_000_000 * S + 30 * S));
+        engine.forecast(BootNs(40 * S)).probability
     };
     let (own, of_another) = (said(PersonId(1), 0, [0.9, 0.1]), said(PersonId(1), 1, [0.2, 0.8]));
     assert_eq!(restored(vec![own.clone(), of_another]), restored(vec![own.clone()]));
@@ -336,73 +336,73 @@ impl LanguageModel for Failing {
     }
 }
 
-fn failing_board(failures: &Rc<Cell<u32>>) -> Board<Failing> {
+fn failing_board(failures: &Rc<Cell<u32>>) -> Engine<Failing> {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let options = GroundingOptions::default();
     let grounding = Grounding::new(&map, &options).unwrap();
     let model = Failing { table: TableModel::new(7), failures: Rc::clone(failures) };
     let pipeline = Pipeline::new(model, grounding, PipelineOptions::default()).unwrap();
-    Board::new(pipeline, map, options, 1).unwrap()
+    Engine::new(pipeline, map, options, 1).unwrap()
 }
 
 #[test]
 fn a_changed_map_is_published_with_its_first_scores() {
     let failures = Rc::<Cell<u32>>::default();
-    let mut board = failing_board(&failures);
+    let mut engine = failing_board(&failures);
     for (at_s, sentence) in DAY {
-        board.step([entry(PersonId(0), at_s * S, sentence)], BootNs(at_s * S), UnixNs(at_s * S)).unwrap();
+        engine.step([entry(PersonId(0), at_s * S, sentence)], BootNs(at_s * S), UnixNs(at_s * S)).unwrap();
     }
-    let before = *board.message(BootNs(75 * S), false, false);
-    let sofa = board.forecast(BootNs(75 * S)).probability[1][0];
+    let before = *engine.message(BootNs(75 * S), false, false);
+    let sofa = engine.forecast(BootNs(75 * S)).probability[1][0];
     assert!(sofa > 0.8, "{sofa}");
 
     let room = r#"[{"change": "add-room", "room": {"id": "hall", "label": "hall", "box": {"min_m": [9, 0, 0], "max_m": [12, 3, 2.5]}}}]"#;
-    let map = board.map().changed(parse_changes(room).unwrap()).unwrap();
-    board.change_map(map).unwrap();
+    let map = engine.map().changed(parse_changes(room).unwrap()).unwrap();
+    engine.change_map(map).unwrap();
     for step in 0..3 {
         failures.set(1);
         let at_ns = (76 + step) * S;
-        board.step([entry(PersonId(0), at_ns, "They walk to the hall.")], BootNs(at_ns), UnixNs(at_ns)).unwrap_err();
-        board.tidy();
-        let message = *board.message(BootNs(at_ns), true, false);
+        engine.step([entry(PersonId(0), at_ns, "They walk to the hall.")], BootNs(at_ns), UnixNs(at_ns)).unwrap_err();
+        engine.tidy();
+        let message = *engine.message(BootNs(at_ns), true, false);
         let as_before = RoomScoresV1 { published_ns: message.published_ns, flags: message.flags, ..before };
         assert_eq!(message, as_before);
         assert_eq!(message.flags, score_flags::SCORER_FAILED | score_flags::HEARTBEAT);
-        let forecast = board.forecast(BootNs(at_ns));
+        let forecast = engine.forecast(BootNs(at_ns));
         assert_eq!((forecast.room_count, forecast.flags), (2, 0));
         assert!(forecast.probability[1][0] > 0.8, "{:?}", forecast.probability[1]);
-        assert!(board.items().is_none());
+        assert!(engine.items().is_none());
     }
-    board.step([], BootNs(80 * S), UnixNs(80 * S)).unwrap();
-    let after = *board.message(BootNs(80 * S), false, false);
+    engine.step([], BootNs(80 * S), UnixNs(80 * S)).unwrap();
+    let after = *engine.message(BootNs(80 * S), false, false);
     assert_eq!((after.room_count, after.flags), (3, 0));
     assert_ne!(after.map_fingerprint, before.map_fingerprint);
     assert!((after.rooms().iter().map(|room| room.probability).sum::<f64>() - 1.0).abs() < 1e-9);
-    let forecast = board.forecast(BootNs(80 * S));
+    let forecast = engine.forecast(BootNs(80 * S));
     assert_eq!((forecast.room_count, forecast.flags), (3, 0));
     assert!(forecast.probability[2][0] > 0.5, "what was observed meanwhile is known: {:?}", forecast.probability);
-    assert!(board.items().is_some());
+    assert!(engine.items().is_some());
 }
 
 fn entry(person: PersonId, at_ns: u64, sentence: &str) -> Entry {
     Entry::new(observation(person, at_ns, sentence), BootNs(at_ns))
 }
 
-fn occupied(board: &mut Board<TableModel>, room: usize, now_ns: u64) -> f32 {
-    board.forecast(BootNs(now_ns)).probability[room][0]
+fn occupied(engine: &mut Engine<TableModel>, room: usize, now_ns: u64) -> f32 {
+    engine.forecast(BootNs(now_ns)).probability[room][0]
 }
 
 /// Narrators with one event each, in separate steps, wait for nothing. If too many report in one step, some wait for a place.
 #[test]
 fn only_what_waits_is_cut() {
-    let mut board = board();
+    let mut engine = engine();
     let told = |source: u64, at_ns: u64| {
         let observation = Observation { source, epoch: 1, ..observation(PersonId(0), at_ns, "They walk to the hall.") };
         Entry::new(observation, BootNs(at_ns))
     };
     let mut cut = |sources: std::ops::Range<u64>, at_ns: u64| {
-        board.step(sources.map(|source| told(source, at_ns)), BootNs(at_ns), UnixNs(at_ns)).unwrap();
-        board.snapshot().has(score_flags::SOURCES_CUT)
+        engine.step(sources.map(|source| told(source, at_ns)), BootNs(at_ns), UnixNs(at_ns)).unwrap();
+        engine.snapshot().has(score_flags::SOURCES_CUT)
     };
     let most = MAX_SOURCES as u64;
     for source in 0..2 * most {
@@ -422,7 +422,7 @@ const DAY: [(u64, &str); 4] = [
 
 #[test]
 fn a_restart_remembers_where_everybody_is() {
-    let mut before = board();
+    let mut before = engine();
     for (at_s, sentence) in DAY {
         before.step([entry(PersonId(3), at_s * S, sentence)], BootNs(at_s * S), UnixNs(at_s * S)).unwrap();
     }
@@ -433,7 +433,7 @@ fn a_restart_remembers_where_everybody_is() {
 
     // The same boot, and a later boot with a new monotonic clock. Then the monotonic times of the state database are dropped.
     for later_boot in [false, true] {
-        let mut after = board();
+        let mut after = engine();
         let kept = DAY.map(|(at_s, sentence)| {
             let whole = observation(PersonId(3), at_s * S, sentence);
             if later_boot { Observation { observed_ns: BootNs(0), ..whole } } else { whole }
@@ -459,38 +459,38 @@ fn a_restart_remembers_where_everybody_is() {
 #[test]
 fn a_failed_step_loses_neither_gap_nor_latency() {
     let failures = Rc::<Cell<u32>>::default();
-    let mut board = failing_board(&failures);
-    board.step([], BootNs(S), UnixNs(S)).unwrap();
+    let mut engine = failing_board(&failures);
+    engine.step([], BootNs(S), UnixNs(S)).unwrap();
     failures.set(2);
     let lost = Entry { after_gap: true, ..entry(PersonId(0), 2 * S, "They grab the mug.") };
-    board.step([lost], BootNs(2 * S), UnixNs(2 * S)).unwrap_err();
-    board.step([entry(PersonId(0), 3 * S, "They sit on the sofa.")], BootNs(3 * S), UnixNs(3 * S)).unwrap_err();
-    assert_eq!(board.step([], BootNs(5 * S), UnixNs(5 * S)).unwrap(), Some(BootNs(2 * S)));
-    let snapshot = board.snapshot();
+    engine.step([lost], BootNs(2 * S), UnixNs(2 * S)).unwrap_err();
+    engine.step([entry(PersonId(0), 3 * S, "They sit on the sofa.")], BootNs(3 * S), UnixNs(3 * S)).unwrap_err();
+    assert_eq!(engine.step([], BootNs(5 * S), UnixNs(5 * S)).unwrap(), Some(BootNs(2 * S)));
+    let snapshot = engine.snapshot();
     assert_eq!((snapshot.received_ns, snapshot.wait_ns), (2 * S, 3 * S));
     assert_eq!(snapshot.flags, score_flags::GAP);
-    assert_eq!(board.step([], BootNs(6 * S), UnixNs(6 * S)).unwrap(), None);
-    assert_eq!((board.snapshot().received_ns, board.snapshot().wait_ns, board.snapshot().flags), (2 * S, 0, 0));
+    assert_eq!(engine.step([], BootNs(6 * S), UnixNs(6 * S)).unwrap(), None);
+    assert_eq!((engine.snapshot().received_ns, engine.snapshot().wait_ns, engine.snapshot().flags), (2 * S, 0, 0));
 }
 
 #[test]
 fn what_is_not_known_is_flagged() {
-    let mut board = board();
-    board.step([], BootNs(S), UnixNs(S)).unwrap();
-    assert_eq!(board.forecast(BootNs(S)).flags, forecast_flags::NOT_KNOWN);
-    assert_eq!(board.forecast(BootNs(S)).probability[0][0], 0.5);
-    board.step([entry(PersonId(0), 2 * S, "They stand up.")], BootNs(2 * S), UnixNs(2 * S)).unwrap();
-    assert_eq!(board.forecast(BootNs(2 * S)).flags, 0);
+    let mut engine = engine();
+    engine.step([], BootNs(S), UnixNs(S)).unwrap();
+    assert_eq!(engine.forecast(BootNs(S)).flags, forecast_flags::NOT_KNOWN);
+    assert_eq!(engine.forecast(BootNs(S)).probability[0][0], 0.5);
+    engine.step([entry(PersonId(0), 2 * S, "They stand up.")], BootNs(2 * S), UnixNs(2 * S)).unwrap();
+    assert_eq!(engine.forecast(BootNs(2 * S)).flags, 0);
 }
 
 #[test]
 fn of_too_many_persons_those_are_told_who_were_observed_last() {
-    let mut board = board();
+    let mut engine = engine();
     for person in 0..12 {
         let at_ns = u64::from(20 - person) * S;
-        board.step([entry(PersonId(person), at_ns, "They grab the mug.")], BootNs(30 * S), UnixNs(30 * S)).unwrap();
+        engine.step([entry(PersonId(person), at_ns, "They grab the mug.")], BootNs(30 * S), UnixNs(30 * S)).unwrap();
     }
-    let told = board.person_scores(BootNs(30 * S));
+    let told = engine.person_scores(BootNs(30 * S));
     told.check().unwrap();
     assert_eq!(told.persons().iter().map(|person| person.person).collect::<Vec<_>>(), (0..8).collect::<Vec<_>>());
     assert_eq!(told.persons, 12);
@@ -499,8 +499,8 @@ fn of_too_many_persons_those_are_told_who_were_observed_last() {
 /// Each person's forecast uses only the scores of that person.
 #[test]
 fn a_persons_forecast_is_that_of_the_person_alone() {
-    let mut alone = [0, 1].map(|_| board());
-    let mut both = board();
+    let mut alone = [0, 1].map(|_| engine());
+    let mut both = engine();
     for (number, (at_s, sentence)) in (0..).zip(DAY.into_iter().chain([(90, "They grab the mug.")])) {
         let person = number % 2;
         both.step([entry(PersonId(person), at_s * S, sentence)], BootNs(at_s * S), UnixNs(at_s * S)).unwrap();
@@ -524,7 +524,7 @@ fn a_persons_forecast_is_that_of_the_person_alone() {
         let nobody: f64 = told.persons().iter().map(|person| 1.0 - person.probability[room]).product();
         assert_eq!(scores.probability, 1.0 - nobody);
     }
-    let of = |board: &mut Board<TableModel>| board.forecast(BootNs(100 * S)).probability;
+    let of = |engine: &mut Engine<TableModel>| engine.forecast(BootNs(100 * S)).probability;
     let [first, second] = &mut alone;
     let (first, second, both) = (of(first), of(second), of(&mut both));
     for (room, horizon) in (0..2).flat_map(|room| (0..MAX_HORIZONS).map(move |horizon| (room, horizon))) {
@@ -534,21 +534,21 @@ fn a_persons_forecast_is_that_of_the_person_alone() {
     }
 }
 
-/// A prefetcher for a board, with at most so many guesses.
-fn ahead_of(board: &Board<TableModel>, most: usize) -> Ahead<TableModel> {
+/// A prefetcher for a engine, with at most so many guesses.
+fn ahead_of(engine: &Engine<TableModel>, most: usize) -> Prefetcher<TableModel> {
     let counts = Counts::from_json(crate::embedded::FORMS).unwrap();
-    let preparer = board.pipeline().inside().preparer(Arc::new(|| false)).unwrap().unwrap();
-    Ahead::new(preparer, counts, Arc::clone(board.pipeline().inside().prepared()), most)
+    let preparer = engine.pipeline().inside().preparer(Arc::new(|| false)).unwrap().unwrap();
+    Prefetcher::new(preparer, counts, Arc::clone(engine.pipeline().inside().prepared()), most)
 }
 
 /// Prefetches as the idle daemon does. Returns the number of answers.
-fn work_ahead(board: &mut Board<TableModel>, ahead: &mut Ahead<TableModel>) -> usize {
-    assert!(board.is_ahead_due());
-    ahead.look(board.now());
-    assert!(!board.is_ahead_due());
+fn work_ahead(engine: &mut Engine<TableModel>, ahead: &mut Prefetcher<TableModel>) -> usize {
+    assert!(engine.is_prefetch_due());
+    ahead.look(engine.now());
+    assert!(!engine.is_prefetch_due());
     let mut answers = 0;
     while let Some(answer) = ahead.answer().unwrap() {
-        board.keep_answer(answer);
+        engine.keep_answer(answer);
         answers += 1;
     }
     assert!(ahead.is_done());
@@ -558,58 +558,58 @@ fn work_ahead(board: &mut Board<TableModel>, ahead: &mut Ahead<TableModel>) -> u
 /// The loop of an idle daemon: an event that was guessed is flagged, and its scores equal those without prefetching.
 #[test]
 fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
-    let (mut board, mut behind) = (board(), board());
-    let mut ahead = ahead_of(&board, 64);
+    let (mut engine, mut behind) = (engine(), engine());
+    let mut ahead = ahead_of(&engine, 64);
     let mut flagged = 0;
     let round =
         ["They walk to the fridge.", "They open the fridge.", "They close the fridge.", "They serenade the sofa."];
     for (n, sentence) in (1..).zip(round.iter().cycle().take(24)) {
-        for board in [&mut board, &mut behind] {
-            board.step([entry(PersonId(1), n * S, sentence)], BootNs(n * S), UnixNs(1_000_000 * S + n * S)).unwrap();
+        for engine in [&mut engine, &mut behind] {
+            engine.step([entry(PersonId(1), n * S, sentence)], BootNs(n * S), UnixNs(1_000_000 * S + n * S)).unwrap();
         }
-        flagged += u64::from(board.snapshot().has(score_flags::PREPARED));
+        flagged += u64::from(engine.snapshot().has(score_flags::PREPARED));
         assert!(!behind.snapshot().has(score_flags::PREPARED));
-        let told = |board: &Board<TableModel>| {
-            board.snapshot().rooms().iter().map(|room| room.probability).collect::<Vec<_>>()
+        let told = |engine: &Engine<TableModel>| {
+            engine.snapshot().rooms().iter().map(|room| room.probability).collect::<Vec<_>>()
         };
-        assert_eq!(told(&board), told(&behind));
-        assert!(work_ahead(&mut board, &mut ahead) <= 64);
+        assert_eq!(told(&engine), told(&behind));
+        assert!(work_ahead(&mut engine, &mut ahead) <= 64);
     }
-    assert_eq!(board.prepared().used, flagged);
+    assert_eq!(engine.prepared().used, flagged);
     assert!(flagged >= 16, "{flagged} of 24 were prepared");
     // A person with ever new sentences does not end prefetching for other persons.
     for n in 100..100 + roomcast_core::guess::FORMS_MAX as u64 {
-        board
+        engine
             .step(
                 [entry(PersonId(2), n * S, &format!("They do it {n} times."))],
                 BootNs(n * S),
                 UnixNs(1_000_000 * S + n * S),
             )
             .unwrap();
-        ahead.look(board.now());
+        ahead.look(engine.now());
     }
-    let used = board.prepared().used;
+    let used = engine.prepared().used;
     for (n, sentence) in (10_000..).zip(round.iter().cycle().take(12)) {
-        board.step([entry(PersonId(1), n * S, sentence)], BootNs(n * S), UnixNs(1_000_000 * S + n * S)).unwrap();
-        work_ahead(&mut board, &mut ahead);
+        engine.step([entry(PersonId(1), n * S, sentence)], BootNs(n * S), UnixNs(1_000_000 * S + n * S)).unwrap();
+        work_ahead(&mut engine, &mut ahead);
     }
-    assert!(board.prepared().used > used + 3, "{:?}", board.prepared());
+    assert!(engine.prepared().used > used + 3, "{:?}", engine.prepared());
     // Forgotten sentences are not guessed.
     assert!(format!("{ahead:?}").contains("serenade"));
-    board.forget(PersonId(1), |_| false);
-    ahead.look(board.now());
+    engine.forget(PersonId(1), |_| false);
+    ahead.look(engine.now());
     assert!(!format!("{ahead:?}").contains("serenade"));
 }
 
 /// A drafter changes the guesses.
 #[test]
 fn another_model_has_a_say_in_what_is_guessed() {
-    let mut board = board();
-    board.step([entry(PersonId(1), S, "They walk to the fridge.")], BootNs(S), UnixNs(1_000_000 * S)).unwrap();
+    let mut engine = engine();
+    engine.step([entry(PersonId(1), S, "They walk to the fridge.")], BootNs(S), UnixNs(1_000_000 * S)).unwrap();
     let mut prepared = |drafter: Option<u64>| {
         let drafter = drafter.map(|seed| Drafter::new(TableModel::new(seed), CorrectionChoice::default()));
-        let mut ahead = ahead_of(&board, 8).with_drafter(drafter);
-        ahead.look(board.now());
+        let mut ahead = ahead_of(&engine, 8).with_drafter(drafter);
+        ahead.look(engine.now());
         let mut asked = Vec::new();
         while let Some(answer) = ahead.answer().unwrap() {
             asked.push(format!("{answer:?}"));
@@ -624,41 +624,41 @@ fn another_model_has_a_say_in_what_is_guessed() {
 /// The answers of an inactive person stay.
 #[test]
 fn answers_of_who_did_nothing_are_not_prepared_again() {
-    let mut board = board();
-    let mut ahead = ahead_of(&board, 8);
-    board
+    let mut engine = engine();
+    let mut ahead = ahead_of(&engine, 8);
+    engine
         .step(
             [entry(PersonId(1), S, "They walk to the fridge."), entry(PersonId(2), S, "They sit on the sofa.")],
             BootNs(S),
             UnixNs(1_000_000 * S),
         )
         .unwrap();
-    let both = work_ahead(&mut board, &mut ahead);
+    let both = work_ahead(&mut engine, &mut ahead);
     assert!(both > 0);
     // A new snapshot without a new prompt.
-    board.change_map(board.map().clone()).unwrap();
-    board.step([], BootNs(2 * S), UnixNs(1_000_002 * S)).unwrap();
-    assert!(!board.is_ahead_due());
-    ahead.look(board.now());
+    engine.change_map(engine.map().clone()).unwrap();
+    engine.step([], BootNs(2 * S), UnixNs(1_000_002 * S)).unwrap();
+    assert!(!engine.is_prefetch_due());
+    ahead.look(engine.now());
     assert!(ahead.answer().unwrap().is_none(), "all are there");
     // Forgetting a person drops all answers.
-    board.forget(PersonId(2), |_| false);
-    board.step([], BootNs(3 * S), UnixNs(1_000_003 * S)).unwrap();
-    assert!(work_ahead(&mut board, &mut ahead) > 0);
+    engine.forget(PersonId(2), |_| false);
+    engine.step([], BootNs(3 * S), UnixNs(1_000_003 * S)).unwrap();
+    assert!(work_ahead(&mut engine, &mut ahead) > 0);
 }
 
 /// Invented persons take no place in the messages from a person of a named narrator.
 #[test]
 fn strangers_take_no_place_of_a_guarded_person() {
     const NAMED: u64 = 7;
-    let mut board = board().with_named([(NAMED, May::ALL)]);
+    let mut engine = engine().with_named([(NAMED, May::ALL)]);
     let told = Observation {
         name: Some("Ada".into()),
         person: PersonId::SOMEBODY,
         source: NAMED,
         ..observation(PersonId(0), 10 * S, "They sit on the sofa.")
     };
-    board.step([Entry::new(told, BootNs(10 * S))], BootNs(10 * S), UnixNs(10 * S)).unwrap();
+    engine.step([Entry::new(told, BootNs(10 * S))], BootNs(10 * S), UnixNs(10 * S)).unwrap();
     let strange = |number: u64| {
         let at_ns = (11 + number) * S;
         let observation = Observation {
@@ -666,11 +666,11 @@ fn strangers_take_no_place_of_a_guarded_person() {
             sequence: number + 1,
             ..observation(PersonId(number as u32), at_ns, "They open the fridge.")
         };
-        Entry { voice: Voice { number: OTHERS, share: 1 }, ..Entry::new(observation, BootNs(at_ns)) }
+        Entry { quota: Quota { number: OTHERS, share: 1 }, ..Entry::new(observation, BootNs(at_ns)) }
     };
-    board.step((0..20).map(strange), BootNs(40 * S), UnixNs(40 * S)).unwrap();
-    board.message(BootNs(40 * S), false, false);
-    let told = board.person_scores(BootNs(40 * S));
+    engine.step((0..20).map(strange), BootNs(40 * S), UnixNs(40 * S)).unwrap();
+    engine.message(BootNs(40 * S), false, false);
+    let told = engine.person_scores(BootNs(40 * S));
     assert_eq!(told.person_count as usize, MAX_PERSONS);
     assert!(told.persons().iter().any(|own| own.name() == "Ada"));
 }
@@ -679,28 +679,28 @@ fn strangers_take_no_place_of_a_guarded_person() {
 #[test]
 fn a_room_that_is_added_makes_nobody_leave_theirs() {
     let failures = Rc::<Cell<u32>>::default();
-    let mut board = failing_board(&failures);
-    board.step([entry(PersonId(0), 10 * S, "They open the fridge.")], BootNs(10 * S), UnixNs(10 * S)).unwrap();
+    let mut engine = failing_board(&failures);
+    engine.step([entry(PersonId(0), 10 * S, "They open the fridge.")], BootNs(10 * S), UnixNs(10 * S)).unwrap();
     let present = Observation {
         event: event_of(narration_kind::PRESENCE, "present in the living room").unwrap(),
         ..observation(PersonId(0), 20 * S, "They wait.")
     };
-    board.step([Entry::new(present, BootNs(20 * S))], BootNs(20 * S), UnixNs(20 * S)).unwrap();
-    let before = board.forecast(BootNs(30 * S)).probability[1][0];
+    engine.step([Entry::new(present, BootNs(20 * S))], BootNs(20 * S), UnixNs(20 * S)).unwrap();
+    let before = engine.forecast(BootNs(30 * S)).probability[1][0];
     let room = r#"[{"change": "add-room", "room": {"id": "hall", "label": "hall", "box": {"min_m": [9, 0, 0], "max_m": [12, 3, 2.5]}}}]"#;
-    let map = board.map().changed(parse_changes(room).unwrap()).unwrap();
-    board.change_map(map).unwrap();
-    board.step([], BootNs(30 * S), UnixNs(30 * S)).unwrap();
-    let after = board.forecast(BootNs(30 * S)).probability[1][0];
+    let map = engine.map().changed(parse_changes(room).unwrap()).unwrap();
+    engine.change_map(map).unwrap();
+    engine.step([], BootNs(30 * S), UnixNs(30 * S)).unwrap();
+    let after = engine.forecast(BootNs(30 * S)).probability[1][0];
     assert!(before > 0.8 && after > before - 0.02, "{before} {after}");
 }
 
-fn slow_board() -> Board<TableModel> {
+fn slow_board() -> Engine<TableModel> {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let options = GroundingOptions::default();
     let grounding = Grounding::new(&map, &options).unwrap();
     let pipeline = Pipeline::new(TableModel::slow(7), grounding, PipelineOptions::default()).unwrap();
-    Board::new(pipeline, map, options, 1).unwrap()
+    Engine::new(pipeline, map, options, 1).unwrap()
 }
 
 /// The limit is 5 ms, and the model takes 400 ms for a prompt.
@@ -710,7 +710,7 @@ fn scores_that_miss_the_deadline_are_sent_again_as_old_and_behind() {
     let grounding = Grounding::new(&map, &options).unwrap();
     let late = PipelineOptions { effort: Effort::Deadline, ..PipelineOptions::default() };
     let pipeline = Pipeline::new(TableModel::slow(7), grounding, late).unwrap();
-    let mut cycle = crate::daemon::cycle::Cycle::new(Board::new(pipeline, map, options, 1).unwrap(), 250_000_000);
+    let mut cycle = crate::daemon::cycle::Cycle::new(Engine::new(pipeline, map, options, 1).unwrap(), 250_000_000);
     let mut step = |at_s: u64, sentence: Option<&str>| {
         let heard = sentence.map(|sentence| entry(PersonId(0), at_s * S, sentence));
         heard.into_iter().for_each(|entry| cycle.enter(entry, 0));
@@ -748,7 +748,7 @@ fn a_step_scores_few_persons_and_claims_no_others() {
         let before_ns = now_ns();
         cycle.step(BootNs(20 * S), UnixNs(1_000_020 * S)).unwrap();
         assert!(now_ns() - before_ns <= TableModel::PROMPT_NS);
-        cycle.board_mut().tell_outcomes(|_| {});
+        cycle.engine_mut().tell_outcomes(|_| {});
         cycle.message(BootNs(20 * S), u64::MAX, false).copied()
     };
     let flood = (1..=INVENTED).map(|n| heard(9, n, PersonId(10 + n as u32)));
@@ -766,19 +766,19 @@ fn a_step_scores_few_persons_and_claims_no_others() {
 
     // A changed map is published once all persons have scores of it. Until then heartbeats go out.
     let lamp = r#"[{"change": "add-item", "item": {"id": "lamp-1", "label": "lamp", "position_m": [1, 1, 1], "box": {"min_m": [0.9, 0.9, 0.9], "max_m": [1.1, 1.1, 1.1]}}}]"#;
-    let map = cycle.board().map().changed(parse_changes(lamp).unwrap()).unwrap();
-    cycle.board_mut().change_map(map).unwrap();
+    let map = cycle.engine().map().changed(parse_changes(lamp).unwrap()).unwrap();
+    cycle.engine_mut().change_map(map).unwrap();
     cycle.score_again();
     for _ in 0..INVENTED {
-        assert!(step(&mut cycle).is_none() && !cycle.board().is_scored());
+        assert!(step(&mut cycle).is_none() && !cycle.engine().is_scored());
     }
     assert!(step(&mut cycle).is_some_and(|message| message.map_fingerprint != first.map_fingerprint));
-    assert!(cycle.board().is_scored() && !cycle.step_due(BootNs(20 * S)));
+    assert!(cycle.engine().is_scored() && !cycle.step_due(BootNs(20 * S)));
 
     // After a start, the person with the newest event is scored first.
     let mut again = crate::daemon::cycle::Cycle::new(slow_board(), 250_000_000);
     let kept = recovered(flood.chain([heard(5, 1, PersonId(1))]));
-    again.board_mut().restore(kept, BootNs(20 * S), UnixNs(1_000_020 * S));
+    again.engine_mut().restore(kept, BootNs(20 * S), UnixNs(1_000_020 * S));
     let told = step(&mut again).unwrap();
     assert_eq!((claim(&told, 5), claim(&told, 9), told.has(score_flags::BEHIND)), (1, 0, true));
     for _ in 0..INVENTED {
@@ -796,10 +796,10 @@ fn a_name_that_several_rooms_have_is_any_of_them() {
     let options = GroundingOptions::default();
     let grounding = Grounding::new(&map, &options).unwrap();
     let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
-    let mut board = Board::new(pipeline, map, options, 1).unwrap();
+    let mut engine = Engine::new(pipeline, map, options, 1).unwrap();
     let mut said_at = |at_s: u64, words: &str| {
-        board.step([entry(PersonId(3), at_s * S, words)], BootNs(at_s * S), UnixNs(at_s * S)).unwrap();
-        [0, 1].map(|room| occupied(&mut board, room, at_s * S))
+        engine.step([entry(PersonId(3), at_s * S, words)], BootNs(at_s * S), UnixNs(at_s * S)).unwrap();
+        [0, 1].map(|room| occupied(&mut engine, room, at_s * S))
     };
     let [one, other] = said_at(10, "They are in the bedroom.");
     assert!((one - other).abs() < 0.1, "{one} {other}");
@@ -827,7 +827,7 @@ fn what_another_boot_dates_later_than_now_was_before_the_start() {
     });
     let mut recovered = recovered(kept);
     recovered.of_other_boots = DAY.map(|(at_s, _)| EventId::new(7, 1, at_s)).into();
-    let mut after = board();
+    let mut after = engine();
     after.restore(recovered, BootNs(2 * S), UnixNs(1_000_080 * S));
     after.step([], BootNs(2 * S), UnixNs(1_000_080 * S)).unwrap();
     let sofa = occupied(&mut after, 1, 2 * S);
@@ -837,7 +837,7 @@ fn what_another_boot_dates_later_than_now_was_before_the_start() {
 /// A regression: a refused sentence behind a flood claimed the waiting part of the flood, and its narrator counted these events as lost.
 #[test]
 fn what_is_refused_claims_nothing_that_waits_before_it() {
-    let mut cycle = crate::daemon::cycle::Cycle::new(board(), 250_000_000);
+    let mut cycle = crate::daemon::cycle::Cycle::new(engine(), 250_000_000);
     let heard = |number: u64| Observation {
         source: 9,
         epoch: 1,
@@ -863,7 +863,7 @@ fn what_is_refused_claims_nothing_that_waits_before_it() {
 /// A step takes a part of a flood, and the record that scores rest on only grows.
 #[test]
 fn a_flood_is_taken_in_parts() {
-    let mut cycle = crate::daemon::cycle::Cycle::new(board(), 250_000_000);
+    let mut cycle = crate::daemon::cycle::Cycle::new(engine(), 250_000_000);
     let heard = |number: u64| entry(PersonId(0), number * S / 1000, "They open the fridge.");
     (1..=600).for_each(|number| cycle.enter(heard(number), number));
     cycle.step(BootNs(S), UnixNs(S)).unwrap();

@@ -1,4 +1,4 @@
-//! Prefetching: guesses of each person's next action, scored while the daemon is idle. [`super::aside`] has the thread and the clock.
+//! Prefetching: guesses of each person's next action, scored while the daemon is idle. [`super::prefetch_thread`] has the thread and the clock.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -35,7 +35,7 @@ struct Own {
 
 /// Prefetches answers with the model `M`; guesses also use the model `D`.
 #[derive(Debug)]
-pub struct Ahead<M, D = M> {
+pub struct Prefetcher<M, D = M> {
     preparer: Preparer<M>,
     drafter: Option<Drafter<D>>,
     counts: Counts,
@@ -51,7 +51,7 @@ pub struct Ahead<M, D = M> {
     waiting: Vec<(PersonId, Sentence)>,
 }
 
-impl<M: LanguageModel, D: LanguageModel> Ahead<M, D> {
+impl<M: LanguageModel, D: LanguageModel> Prefetcher<M, D> {
     /// A prefetcher that knows the sentences of activity programs in `counts`, and answers up to `most` guesses after each event.
     pub fn new(preparer: Preparer<M>, counts: Counts, labels: Arc<PreparedLabels>, most: usize) -> Self {
         let guesser = guesser(&counts, &labels);

@@ -1,13 +1,13 @@
 //! The events of a former run, from the state database.
 
 use roomcast_core::ids::{BootNs, PersonId, UnixNs};
-use roomcast_core::narration::{Observation, Presence, Voice};
+use roomcast_core::narration::{Observation, Presence, Quota};
 use roomcast_core::scorer::LanguageModel;
 
-use super::{Board, observed_at_ns};
+use super::{Engine, observed_at_ns};
 use crate::daemon::journal::{Expectation, Move, Recovered};
 
-impl<M: LanguageModel> Board<M> {
+impl<M: LanguageModel> Engine<M> {
     /// Restores the events of a former run without scoring, with their times, and the expectations after some of them. Returns the number of events
     /// that were left out because they cost more tokens than a window holds.
     pub fn restore(&mut self, recovered: Recovered, now_ns: BootNs, now_unix_ns: UnixNs) -> usize {
@@ -49,11 +49,11 @@ impl<M: LanguageModel> Board<M> {
             if is_of_another_boot {
                 at_ns = Some(at_ns.unwrap_or(0).min(0));
             }
-            let voice = Voice::of_source(observation.source);
+            let quota = Quota::of_source(observation.source);
             let is_unknown =
                 !self.attribution.named.is_empty() && !self.attribution.named.contains_key(&observation.source);
             let reporter = self.attribution.reporter(observation.source, is_unknown);
-            self.scoring.pipeline.intake().include(&observation, voice);
+            self.scoring.pipeline.intake().include(&observation, quota);
             let mut persons = Vec::new();
             if let Some(moves) = moved.remove(&name) {
                 // A refused event has no moves.
@@ -66,16 +66,16 @@ impl<M: LanguageModel> Board<M> {
                     let own = Move { person, ..own }.apply(&observation);
                     if let Some(own) = self.retake(own, reporter, at_ns) {
                         persons.push(own.person);
-                        self.enter_restored(voice, own);
+                        self.enter_restored(quota, own);
                     }
                 }
             } else {
                 // A former run that was killed, or an older version, did not store the moves.
-                let enter = |board: &mut Self, own: Observation| {
+                let enter = |engine: &mut Self, own: Observation| {
                     persons.push(own.person);
-                    board.enter_restored(voice, own);
+                    engine.enter_restored(quota, own);
                 };
-                let (is_read_alone, moves) = self.attribute(observation, Voice::EARLIER, reporter, at_ns, enter);
+                let (is_read_alone, moves) = self.attribute(observation, Quota::EARLIER, reporter, at_ns, enter);
                 // The next start repeats these moves, whoever is known then. An attribution to one person is stored already.
                 if persons.is_empty() || !is_read_alone && moves.len() != 1 {
                     self.records.note_moves(name, moves);
@@ -95,7 +95,7 @@ impl<M: LanguageModel> Board<M> {
         forgotten.for_each(|(_, person)| self.lose(person));
         self.records.recalled = true;
         self.home.end_restore();
-        self.scoring.pipeline.intake().forget_voices();
+        self.scoring.pipeline.intake().forget_quotas();
         costly
     }
 
@@ -119,9 +119,9 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Restores the part of one person in an event of a former run.
-    fn enter_restored(&mut self, voice: Voice, own: Observation) {
+    fn enter_restored(&mut self, quota: Quota, own: Observation) {
         let person = own.person;
-        self.scoring.pipeline.intake().enter(voice, own);
+        self.scoring.pipeline.intake().enter(quota, own);
         self.follow();
         match self.attribution.persons.get_mut(person) {
             // The departure was published.

@@ -3,15 +3,15 @@
 use std::collections::BTreeMap;
 
 use roomcast_core::ids::{BootNs, PersonId};
-use roomcast_core::narration::{Observation, Voice};
+use roomcast_core::narration::{Observation, Quota};
 use roomcast_core::pipeline::Pipeline;
 use roomcast_core::prepared::Answer;
 use roomcast_core::scorer::LanguageModel;
 
 use super::readings::Readings;
 use super::seconds;
-use crate::daemon::ahead::Now;
 use crate::daemon::persons::Persons;
+use crate::daemon::prefetch::Now;
 
 /// Counters of prefetching since the start, for the status.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -39,7 +39,7 @@ pub(super) struct Scoring<M> {
     forgotten: u64,
     /// Grows with each step that asked the model, and with each removed person.
     askings: u64,
-    told_ahead: (u64, u64),
+    told_prefetcher: (u64, u64),
 }
 
 impl<M: LanguageModel> Scoring<M> {
@@ -54,7 +54,7 @@ impl<M: LanguageModel> Scoring<M> {
             tally: PreparedTally::default(),
             forgotten: 0,
             askings: 0,
-            told_ahead: (0, 0),
+            told_prefetcher: (0, 0),
         }
     }
 
@@ -64,9 +64,9 @@ impl<M: LanguageModel> Scoring<M> {
     }
 
     /// The part of one person in an event enters that person's history.
-    pub(super) fn enter(&mut self, voice: Voice, own: Observation, received_ns: BootNs) {
+    pub(super) fn enter(&mut self, quota: Quota, own: Observation, received_ns: BootNs) {
         self.unscored.entry(own.person).or_insert(received_ns);
-        self.pipeline.intake().enter(voice, own);
+        self.pipeline.intake().enter(quota, own);
     }
 
     /// An event without a part for the model is confirmed with the next scores.
@@ -119,23 +119,23 @@ impl<M: LanguageModel> Scoring<M> {
     }
 
     /// Whether the prefetcher's state is stale.
-    pub(super) fn is_ahead_due(&self) -> bool {
-        self.told_ahead != (self.askings, self.forgotten)
+    pub(super) fn is_prefetch_due(&self) -> bool {
+        self.told_prefetcher != (self.askings, self.forgotten)
     }
 
     /// The state for the prefetcher.
     pub(super) fn now(&mut self) -> Now {
-        self.told_ahead = (self.askings, self.forgotten);
-        Now { outlook: self.pipeline.ahead().outlook(), forgotten: self.forgotten }
+        self.told_prefetcher = (self.askings, self.forgotten);
+        Now { outlook: self.pipeline.idle().outlook(), forgotten: self.forgotten }
     }
 
     /// Stores a prefetched answer, if it is useful.
     pub(super) fn keep_answer(&mut self, answer: Answer) {
-        self.tally.prepared += u64::from(self.pipeline.ahead().keep_answer(answer));
+        self.tally.prepared += u64::from(self.pipeline.idle().keep_answer(answer));
     }
 
     /// Makes the prefetcher forget all sentences.
-    pub(super) fn forget_ahead(&mut self) {
+    pub(super) fn forget_prefetched(&mut self) {
         self.forgotten += 1;
     }
 }

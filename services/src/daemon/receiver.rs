@@ -10,7 +10,7 @@ use roomcast_core::ids::EventId;
 use roomcast_ipc::raw::NarrationV1;
 use roomcast_ipc::{IpcError, Subscriber};
 
-use super::board::Entry;
+use super::engine::Entry;
 use super::intake::{Intake, IntakeCounters, Taken};
 use super::journal::Journal;
 use super::{LOG_INTERVAL_NS, Progress};
@@ -23,7 +23,7 @@ use crate::stop::Stop;
 pub(super) const QUEUE: usize = 65_536;
 /// Most messages in one read of the port: a flood must not delay the scorer's steps.
 const AT_ONCE: usize = 2048;
-/// The relief thread returns the receiver at most this long after a step. An event in this time wakes both threads.
+/// The standby thread returns the receiver at most this long after a step. An event in this time wakes both threads.
 const RELIEF: Duration = Duration::from_millis(5);
 
 const FAST_CLOCK: &str = "the clock of this narrator's input is fast: its events count as observed now, and older ones as newer than they \
@@ -33,7 +33,7 @@ const FAST_CLOCK: &str = "the clock of this narrator's input is fast: its events
 pub(super) type Counters = Arc<Mutex<(IntakeCounters, usize)>>;
 
 /// Receives events for the thread that holds it.
-pub(super) struct Inbox {
+pub(super) struct EventReceiver {
     narration: Subscriber<NarrationV1>,
     message: Box<NarrationV1>,
     intake: Intake,
@@ -47,7 +47,7 @@ pub(super) struct Inbox {
     log_port: Limiter,
 }
 
-impl Inbox {
+impl EventReceiver {
     pub(super) fn new(
         narration: Subscriber<NarrationV1>,
         intake: Intake,
@@ -103,7 +103,7 @@ impl Inbox {
             }
             let name = self.message.source_name();
             let refused = match self.intake.receive(received, sender, now_ns) {
-                Taken::Accepted { observation, missed, voice, leaves, binds, ahead_ns } => {
+                Taken::Accepted { observation, missed, quota, leaves, binds, ahead_ns } => {
                     if let Some(ahead_ns) = ahead_ns
                         && let Some(not_told) = self.log_ahead.pass(now_ns)
                     {
@@ -116,7 +116,7 @@ impl Inbox {
                         }
                         journal.append(&observation)
                     });
-                    let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0, voice, leaves };
+                    let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0, quota, leaves };
                     take(Heard::Entry(entry, number));
                     match missed {
                         0 => None,
@@ -170,39 +170,39 @@ pub(super) enum Heard {
     PassedOver(EventId),
 }
 
-/// The scoring thread's side: it holds the receiver, or has lent it to the relief thread.
-pub(super) struct Lending {
-    own: Option<Box<Inbox>>,
-    /// The relief thread has ended with the receiver.
+/// The scoring thread's side: it holds the receiver, or has lent it to the standby thread.
+pub(super) struct ReceiverLoan {
+    own: Option<Box<EventReceiver>>,
+    /// The standby thread has ended with the receiver.
     is_lost: bool,
-    to_relief: Sender<Box<Inbox>>,
-    from_relief: Receiver<Box<Inbox>>,
+    to_relief: Sender<Box<EventReceiver>>,
+    from_relief: Receiver<Box<EventReceiver>>,
     queue: Receiver<Heard>,
-    /// The relief thread must keep the receiver.
+    /// The standby thread must keep the receiver.
     busy: Arc<AtomicBool>,
     awake: Awake,
 }
 
-impl Lending {
+impl ReceiverLoan {
     /// The two sides; the scoring thread starts with the receiver, and waits as `awake` says.
-    pub(super) fn new(inbox: Inbox, awake: Awake, progress: Progress, stop: Stop) -> (Self, Relief) {
+    pub(super) fn new(receiver: EventReceiver, awake: Awake, progress: Progress, stop: Stop) -> (Self, Standby) {
         // There is one receiver, so sending it never blocks.
         let ((to_relief, from_scoring), (to_scoring, from_relief)) = (bounded(1), bounded(1));
         // A bounded one would take its whole memory at once.
         let (queue_in, queue) = unbounded();
         let busy = Arc::new(AtomicBool::new(false));
         let (kept, given) = (Arc::clone(&busy), from_relief.clone());
-        let relief = Relief { from_scoring, to_scoring, given, queue: queue_in, busy: kept, progress, stop };
-        (Self { own: Some(Box::new(inbox)), is_lost: false, to_relief, from_relief, queue, busy, awake }, relief)
+        let standby = Standby { from_scoring, to_scoring, given, queue: queue_in, busy: kept, progress, stop };
+        (Self { own: Some(Box::new(receiver)), is_lost: false, to_relief, from_relief, queue, busy, awake }, standby)
     }
 
-    /// Lends the receiver to the relief thread until [`Lending::call_back`], unless the relief thread has it.
+    /// Lends the receiver to the standby thread until [`ReceiverLoan::call_back`], unless the standby thread has it.
     pub(super) fn lend(&mut self) {
         self.busy.store(true, Ordering::SeqCst);
-        // The receiver may have returned unnoticed. If it returns at this moment, the relief thread takes it back ([`Relief::give_back`]).
-        if let Some(inbox) = self.own.take().or_else(|| self.from_relief.try_recv().ok()) {
-            // It fails only if the relief thread has ended; the main thread also sees that.
-            let _handed = self.to_relief.send(inbox);
+        // The receiver may have returned unnoticed. If it returns at this moment, the standby thread takes it back ([`Standby::give_back`]).
+        if let Some(receiver) = self.own.take().or_else(|| self.from_relief.try_recv().ok()) {
+            // It fails only if the standby thread has ended; the main thread also sees that.
+            let _handed = self.to_relief.send(receiver);
         }
     }
 
@@ -218,13 +218,13 @@ impl Lending {
         self.is_lost
     }
 
-    /// Events from the relief thread that are not taken yet.
+    /// Events from the standby thread that are not taken yet.
     pub(super) fn waiting(&self) -> usize {
         self.queue.len()
     }
 
     pub(super) fn has_more(&self) -> bool {
-        !self.queue.is_empty() || self.own.as_ref().is_some_and(|inbox| inbox.more)
+        !self.queue.is_empty() || self.own.as_ref().is_some_and(|receiver| receiver.more)
     }
 
     /// Sleeps until an event arrives or `patience` has passed. Passes all received events to `take`.
@@ -232,9 +232,9 @@ impl Lending {
         let mut has_taken = false;
         if self.own.is_none() {
             select! {
-                recv(self.from_relief) -> inbox => {
-                    self.is_lost = inbox.is_err();
-                    self.own = inbox.ok();
+                recv(self.from_relief) -> receiver => {
+                    self.is_lost = receiver.is_err();
+                    self.own = receiver.ok();
                 }
                 recv(self.queue) -> received => if let Ok(heard) = received {
                     has_taken = true;
@@ -243,13 +243,13 @@ impl Lending {
                 default(patience) => {}
             }
         }
-        // Events of the relief thread are older than those in the port.
+        // Events of the standby thread are older than those in the port.
         for heard in self.queue.try_iter() {
             has_taken = true;
             take(heard);
         }
-        if let Some(inbox) = &mut self.own {
-            inbox.listen(if has_taken { Duration::ZERO } else { patience }, &mut self.awake, |heard| {
+        if let Some(receiver) = &mut self.own {
+            receiver.listen(if has_taken { Duration::ZERO } else { patience }, &mut self.awake, |heard| {
                 has_taken = true;
                 take(heard);
             });
@@ -261,36 +261,36 @@ impl Lending {
 }
 
 /// Receives while the scoring thread is busy.
-pub(super) struct Relief {
-    from_scoring: Receiver<Box<Inbox>>,
-    to_scoring: Sender<Box<Inbox>>,
+pub(super) struct Standby {
+    from_scoring: Receiver<Box<EventReceiver>>,
+    to_scoring: Sender<Box<EventReceiver>>,
     /// Receivers that were returned to the scoring thread and not taken.
-    given: Receiver<Box<Inbox>>,
+    given: Receiver<Box<EventReceiver>>,
     queue: Sender<Heard>,
     busy: Arc<AtomicBool>,
     progress: Progress,
     stop: Stop,
 }
 
-impl Relief {
+impl Standby {
     pub(super) fn run(self) {
         // It does not spin: the scorer needs the cores.
         let mut asleep = Awake::new(0);
-        let moved = |now_ns| self.progress.relief_ns.store(now_ns, Ordering::Relaxed);
+        let moved = |now_ns| self.progress.standby_ns.store(now_ns, Ordering::Relaxed);
         loop {
             // Without the receiver it cannot hang. It ends with the scoring thread.
             moved(u64::MAX);
-            let Ok(inbox) = self.from_scoring.recv() else { return };
-            let mut own = Some(inbox);
-            while let Some(mut inbox) = own {
+            let Ok(receiver) = self.from_scoring.recv() else { return };
+            let mut own = Some(receiver);
+            while let Some(mut receiver) = own {
                 moved(clock::monotonic_ns().0);
                 if self.queue.len() < QUEUE {
                     // It fails only if the scoring thread has ended; the main thread also sees that.
-                    inbox.listen(RELIEF, &mut asleep, |heard| drop(self.queue.send(heard)));
+                    receiver.listen(RELIEF, &mut asleep, |heard| drop(self.queue.send(heard)));
                 } else {
                     std::thread::sleep(RELIEF);
                 }
-                own = if self.is_to_keep() { Some(inbox) } else { self.give_back(inbox) };
+                own = if self.is_to_keep() { Some(receiver) } else { self.give_back(receiver) };
             }
         }
     }
@@ -299,11 +299,11 @@ impl Relief {
         self.busy.load(Ordering::SeqCst) && !self.stop.requested()
     }
 
-    /// Returns the receiver. If the scoring thread lends at this moment, it has found no receiver. The relief thread then takes it back, because
+    /// Returns the receiver. If the scoring thread lends at this moment, it has found no receiver. The standby thread then takes it back, because
     /// otherwise no thread would receive events during a whole step.
-    fn give_back(&self, inbox: Box<Inbox>) -> Option<Box<Inbox>> {
+    fn give_back(&self, receiver: Box<EventReceiver>) -> Option<Box<EventReceiver>> {
         // It fails only if the scoring thread has ended; the main thread also sees that.
-        let _given = self.to_scoring.send(inbox);
+        let _given = self.to_scoring.send(receiver);
         if self.is_to_keep() { self.given.try_recv().ok() } else { None }
     }
 }
@@ -318,22 +318,22 @@ mod tests {
     #[test]
     fn an_inbox_that_is_lent_while_it_comes_back_is_with_who_listens() {
         let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
-        let domain = Domain::new(root.path(), &format!("inbox-{}", std::process::id())).unwrap();
+        let domain = Domain::new(root.path(), &format!("receiver-{}", std::process::id())).unwrap();
         let node = domain.open("test").unwrap();
         let intake = Intake::new(IntakeLimits::default());
-        let inbox = Inbox::new(node.subscriber().unwrap(), intake, None, Counters::default());
-        let (mut lending, relief) = Lending::new(inbox, Awake::new(0), Progress::default(), Stop::default());
-        lending.lend();
-        let inbox = relief.from_scoring.try_recv().unwrap();
-        lending.call_back();
-        assert!(!relief.is_to_keep());
-        lending.lend();
-        let inbox = relief.give_back(inbox).expect("it is heard from during the step");
-        lending.call_back();
-        assert!(relief.give_back(inbox).is_none());
-        lending.listen(Duration::from_millis(1), drop);
-        assert!(lending.is_here() && !lending.is_lost());
-        drop((lending, node));
+        let receiver = EventReceiver::new(node.subscriber().unwrap(), intake, None, Counters::default());
+        let (mut loan, standby) = ReceiverLoan::new(receiver, Awake::new(0), Progress::default(), Stop::default());
+        loan.lend();
+        let receiver = standby.from_scoring.try_recv().unwrap();
+        loan.call_back();
+        assert!(!standby.is_to_keep());
+        loan.lend();
+        let receiver = standby.give_back(receiver).expect("it is heard from during the step");
+        loan.call_back();
+        assert!(standby.give_back(receiver).is_none());
+        loan.listen(Duration::from_millis(1), drop);
+        assert!(loan.is_here() && !loan.is_lost());
+        drop((loan, node));
         domain.clean_up().unwrap();
     }
 }

@@ -7,7 +7,7 @@ use roomcast_core::scorer::LanguageModel;
 use roomcast_core::tracker::{Home, ROBOT_SILENT_S};
 use roomcast_ipc::raw::{DecisionV1, RobotReportV1, action, report_kind};
 
-use super::Board;
+use super::Engine;
 use super::belief::Belief;
 
 /// Most robots; reports of further ones explain nothing.
@@ -78,7 +78,7 @@ impl Robots {
     }
 }
 
-impl<M: LanguageModel> Board<M> {
+impl<M: LanguageModel> Engine<M> {
     pub(in crate::daemon) fn see_report(&mut self, report: &RobotReportV1, now_ns: BootNs) {
         let is_bare = report.kind == report_kind::BATTERY && report.position_m().is_none() && report.room().is_empty();
         if is_bare || report.is_order() {

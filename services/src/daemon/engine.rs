@@ -9,15 +9,15 @@ use roomcast_ipc::raw::{
     PersonScoresV1, RoomScoresV1, score_flags,
 };
 
-use super::ahead::Now;
 use super::habits::HomeHabits;
 use super::intake::OTHERS;
 use super::persons::{NotRenamed, Persons};
+use super::prefetch::Now;
 use crate::config::May;
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::{GroundingOptions, partitions};
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
-use roomcast_core::narration::{Event, Observation, Voice};
+use roomcast_core::narration::{Event, Observation, Quota};
 use roomcast_core::pipeline::{Pipeline, PipelineError, Prepared};
 use roomcast_core::prepared::Answer;
 use roomcast_core::scorer::{LanguageModel, Progress};
@@ -50,7 +50,7 @@ mod whereabouts;
 /// A map that messages cannot carry.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum BoardError {
+pub enum EngineError {
     /// The map has more partitions than a message has places.
     #[error(
         "the map has {partitions} partitions at this level, a message carries at most {MAX_ROOMS}: choose grounding.level = \"room\" or \"group\", or a smaller map"
@@ -77,7 +77,7 @@ pub enum BoardError {
 pub enum MapError {
     /// The map does not fit into messages.
     #[error(transparent)]
-    Board(#[from] BoardError),
+    Engine(#[from] EngineError),
     /// The map cannot be grounded, or its labels do not fit the model's context.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
@@ -93,7 +93,7 @@ pub struct Entry {
     /// Whether earlier events of its narrator were lost.
     pub after_gap: bool,
     /// The quota that it counts against in its person's window.
-    pub voice: Voice,
+    pub quota: Quota,
     /// The narrator's start (source and epoch) that gave way to this event's start.
     pub leaves: Option<(u64, u64)>,
 }
@@ -102,14 +102,14 @@ impl Entry {
     /// An event after no gap, of its source's own quota, for which no start gave way.
     #[must_use]
     pub fn new(observation: Observation, received_ns: BootNs) -> Self {
-        let voice = Voice::of_source(observation.source);
-        Self { observation, received_ns, after_gap: false, voice, leaves: None }
+        let quota = Quota::of_source(observation.source);
+        Self { observation, received_ns, after_gap: false, quota, leaves: None }
     }
 }
 
 /// The daemon's state, in parts along the flow: an event gets its persons, moves the belief, is scored, changes the habits, and is published.
 #[derive(Debug)]
-pub struct Board<M> {
+pub struct Engine<M> {
     map: MapInUse,
     attribution: Attribution,
     belief: Belief,
@@ -139,18 +139,18 @@ fn seconds(ns: i64) -> f64 {
     ns as f64 / 1e9
 }
 
-impl<M: LanguageModel> Board<M> {
-    /// A board without scores. `epoch` is random per start of the daemon; `grounding` has the options of the pipeline's grounding.
+impl<M: LanguageModel> Engine<M> {
+    /// A engine without scores. `epoch` is random per start of the daemon; `grounding` has the options of the pipeline's grounding.
     ///
     /// # Errors
     ///
-    /// [`BoardError`] if the map does not fit into a message.
+    /// [`EngineError`] if the map does not fit into a message.
     pub fn new(
         pipeline: Pipeline<M>,
         map: SemanticMap,
         grounding: GroundingOptions,
         epoch: u64,
-    ) -> Result<Self, BoardError> {
+    ) -> Result<Self, EngineError> {
         let publication = Publication::new(&pipeline, &map, epoch)?;
         Ok(Self {
             map: MapInUse::new(map, grounding, pipeline.grounding()),
@@ -194,7 +194,7 @@ impl<M: LanguageModel> Board<M> {
 
     /// Calls `moved` after each call of the model's decoder.
     pub(super) fn watch_model(&mut self, moved: Progress) {
-        self.scoring.pipeline.ahead().watch(moved);
+        self.scoring.pipeline.idle().watch(moved);
     }
 
     /// The ids of the map's rooms, in the order of the habits.
@@ -294,8 +294,8 @@ impl<M: LanguageModel> Board<M> {
 
     /// Whether the prefetcher's state is stale.
     #[must_use]
-    pub(crate) fn is_ahead_due(&self) -> bool {
-        self.is_scored() && self.scoring.is_ahead_due()
+    pub(crate) fn is_prefetch_due(&self) -> bool {
+        self.is_scored() && self.scoring.is_prefetch_due()
     }
 
     /// The state for the prefetcher.
@@ -315,8 +315,8 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Makes the prefetcher forget all sentences.
-    pub(super) fn forget_ahead(&mut self) {
-        self.scoring.forget_ahead();
+    pub(super) fn forget_prefetched(&mut self) {
+        self.scoring.forget_prefetched();
     }
 
     /// Sets, per start of a narrator, the last sequence that a former run handled and the state database has dropped.
@@ -344,7 +344,7 @@ impl<M: LanguageModel> Board<M> {
         self.scoring.readings.clear();
         self.belief.sensors.forget(person);
         self.home.forget(person);
-        self.forget_ahead();
+        self.forget_prefetched();
     }
 
     /// Forgets a person except for the habits.
@@ -393,9 +393,9 @@ impl<M: LanguageModel> Board<M> {
                 Observation { person, by_fit: true, observed_ns, ..Observation::saying(last.sequence, Event::Away) };
             let away = Observation { source: last.source, epoch: last.epoch, ..away };
             if let Ok(own) =
-                self.take(away, Voice::EARLIER, (self.attribution.reporter(last.source, true), true), Some(now_ns))
+                self.take(away, Quota::EARLIER, (self.attribution.reporter(last.source, true), true), Some(now_ns))
             {
-                self.scoring.pipeline.intake().enter(Voice::EARLIER, own);
+                self.scoring.pipeline.intake().enter(Quota::EARLIER, own);
             }
         }
     }
@@ -457,7 +457,7 @@ impl<M: LanguageModel> Board<M> {
         self.home.set_clock(now_ns, now_unix_ns);
         self.belief.local_ahead_s = self.home.local_ahead_s(now_ns, now_unix_ns);
         let mut costly = 0;
-        for Entry { observation, received_ns, after_gap, voice, leaves } in entries {
+        for Entry { observation, received_ns, after_gap, quota, leaves } in entries {
             self.scoring.receive(after_gap);
             if let Some((source, epoch)) = leaves {
                 self.scoring.pipeline.intake().forget_source(source, epoch);
@@ -469,16 +469,16 @@ impl<M: LanguageModel> Board<M> {
                 continue;
             }
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns).or(i64::try_from(received_ns.0).ok());
-            let is_unknown = !self.attribution.named.is_empty() && voice.number == OTHERS;
+            let is_unknown = !self.attribution.named.is_empty() && quota.number == OTHERS;
             let reporter = self.attribution.reporter(observation.source, is_unknown);
-            self.scoring.pipeline.intake().include(&observation, voice);
+            self.scoring.pipeline.intake().include(&observation, quota);
             let name = observation.id();
             let mut is_taken = false;
-            let enter = |board: &mut Self, own: Observation| {
+            let enter = |engine: &mut Self, own: Observation| {
                 is_taken = true;
-                board.scoring.enter(voice, own, received_ns);
+                engine.scoring.enter(quota, own, received_ns);
             };
-            let (is_read_alone, moves) = self.attribute(observation, voice, reporter, at_ns, enter);
+            let (is_read_alone, moves) = self.attribute(observation, quota, reporter, at_ns, enter);
             // A restart must not move a person by an event that moved no person before.
             if !is_read_alone || !is_taken {
                 self.records.note_moves(name, moves);
@@ -508,7 +508,7 @@ impl<M: LanguageModel> Board<M> {
     ///
     /// # Errors
     ///
-    /// As [`Board::step`].
+    /// As [`Engine::step`].
     pub(super) fn score_within(
         &mut self,
         now_ns: BootNs,
@@ -552,7 +552,7 @@ impl<M: LanguageModel> Board<M> {
         self.publication.forecast(&self.belief, &self.attribution.persons, &mut self.home, now_ns)
     }
 
-    /// Each person's forecast, as [`Board::forecast`], of at most [`MAX_PERSONS`].
+    /// Each person's forecast, as [`Engine::forecast`], of at most [`MAX_PERSONS`].
     pub fn person_forecasts(&mut self, now_ns: BootNs) -> &PersonForecastsV1 {
         self.look(now_ns);
         self.publication.person_forecasts(&self.belief, &self.attribution.persons, &mut self.home, now_ns)
@@ -621,13 +621,13 @@ impl<M: LanguageModel> Board<M> {
 
     /// Does a small part of the model's reading after an event.
     pub(super) fn read_on(&mut self) {
-        self.scoring.pipeline.ahead().read_on();
+        self.scoring.pipeline.idle().read_on();
     }
 
     /// Does a small part of the postponed work. Returns whether there is more.
     pub fn tidy(&mut self) -> bool {
         self.watch();
-        self.scoring.pipeline.ahead().tidy()
+        self.scoring.pipeline.idle().tidy()
     }
 }
 

@@ -7,7 +7,7 @@ use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::Presence;
 use roomcast_core::scorer::LanguageModel;
 
-use super::Board;
+use super::Engine;
 use crate::daemon::journal::{Expectation, Move, Moved, Outcome, Record};
 
 /// An unnamed event, and the person that it fits.
@@ -64,7 +64,7 @@ impl Records {
     }
 }
 
-impl<M: LanguageModel> Board<M> {
+impl<M: LanguageModel> Engine<M> {
     /// Notes the belief about each person in the house, by the rooms of the changed map. A restart must not read earlier events by that map.
     pub(super) fn note_beliefs(&mut self) {
         let map = self.map.number();
