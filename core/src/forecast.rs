@@ -38,8 +38,7 @@
 
 use crate::grounding::Grounding;
 use crate::like_things::InUse;
-use crate::places::Mention;
-use crate::tracker::evenness;
+use crate::places::{Mention, evenness};
 
 /// Assumptions of the forecast before it has observed the home.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]

@@ -245,6 +245,14 @@ fn add_new(place_of_name: &mut HashMap<String, Mention>, forms: impl Fn(&str) ->
     place_of_name.extend(new);
 }
 
+/// The entropy of a text's likelihood, as a share of the most that its rooms can have.
+pub(crate) fn evenness(list: &[f64]) -> f64 {
+    let sound = || list.iter().copied().filter(|own| own.is_finite() && *own > 0.0);
+    let sum: f64 = sound().sum();
+    let entropy: f64 = sound().map(|own| -own / sum * (own / sum).ln()).sum();
+    if list.len() > 1 { (entropy / (list.len() as f64).ln()).clamp(0.0, 1.0) } else { 1.0 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -2,8 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::known::AWAY;
-use super::names::{Named, PERSON, ahead, in_s, of_room};
+use super::names::{AWAY, Named, PERSON, ahead, in_s, of_room};
 use super::orders;
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::slug::slug;

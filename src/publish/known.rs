@@ -11,8 +11,7 @@ use roomcast_ipc::{Action, Presence, sequence};
 use serde_json::{Value, json};
 
 use super::discovery::Discovery;
-use super::names::Named;
-use super::names::{of_person, of_robot, of_room, room_name, unnamed_person, unnamed_robot};
+use super::names::{AWAY, Named, of_person, of_robot, of_room, room_name, unnamed_person, unnamed_robot};
 use super::outbox::Picture;
 use crate::flags::{decision_flag_names, forecast_flag_names};
 use crate::robot_place::{Place, Places};
@@ -23,8 +22,7 @@ use roomcast_services::planner::Planner;
 
 /// Most robots: the configured one, and as many as `roomcast-zenoh` follows. If there are more, the one with the oldest decision is dropped.
 pub(super) const ROBOTS_MAX: usize = 16;
-/// The place of a person outside all rooms.
-pub(super) const AWAY: &str = "away";
+
 /// The value of an availability topic.
 pub(super) const ONLINE: &str = "online";
 /// Its value when the bridge or the daemon is gone.

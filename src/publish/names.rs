@@ -4,6 +4,9 @@
 
 use roomcast_services::slug::{slug, summed};
 
+/// The place of a person outside all rooms.
+pub(super) const AWAY: &str = "away";
+
 /// Endings of the ids of persons' and rooms' entities, besides times ahead.
 const ENDINGS: [&str; 4] = ["_home", "_now", "_place", "_soon"];
 /// The beginning of the ids of persons' entities.

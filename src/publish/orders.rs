@@ -8,8 +8,7 @@ use roomcast_ipc::sequence;
 use roomcast_services::narrator::{Item, Who};
 use roomcast_services::reporter::{Kind, Report, Reporter};
 
-use super::known::AWAY;
-use super::names::{Named, of_room};
+use super::names::{AWAY, Named, of_room};
 
 /// The last level of the topics.
 const LEVELS: [&str; 3] = ["hold", "clean", "skip"];

@@ -4,6 +4,9 @@
 //! A key of counts has 64 bits: the part, the person's slot, and three numbers. Up to three things are stored exactly. A longer context is a digest of
 //! 48 bits; two contexts collide once in 10^14.
 
+/// Greatest sum of observations: ten observations a second for a century make a third of it.
+pub(crate) const MOST: f64 = 1e11;
+
 pub(crate) const NONE: u16 = u16::MAX;
 /// Bits of the slot; the bits above hold how often the last thing was mentioned in a row.
 pub(crate) const SLOT_MASK: u8 = 0x3f;

@@ -14,8 +14,7 @@
 use super::context::{Context, minute};
 use super::counts::Counts;
 use super::mixture::FixedShare;
-use super::parts::{Part, Without, key, with_times};
-use super::stored::MOST;
+use super::parts::{MOST, Part, Without, key, with_times};
 use super::view::{Level, View};
 
 /// Information of the first powers, and the least information later.

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::names::{Names, Numbered};
-use super::parts::{NONE, Number, Part, SLOT_MASK, key, split};
+use super::parts::{MOST, NONE, Number, Part, SLOT_MASK, key, split};
 use super::pool::Pool;
 use super::{Habits, HabitsOptions, PERSONS_MAX, Person};
 use crate::ids::PersonId;
@@ -16,9 +16,6 @@ const OLDEST: u16 = 2;
 const CONVERTED: u16 = 4;
 /// Largest readable state, in bytes.
 pub const BYTES_MAX: usize = 16 << 20;
-
-/// Greatest sum of observations: ten observations a second for a century make a third of it.
-pub(crate) const MOST: f64 = 1e11;
 
 /// Why a stored state cannot be used; it is rejected as a whole.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

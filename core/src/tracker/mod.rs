@@ -48,7 +48,7 @@ mod situations;
 pub use belief::SLOTS_MAX;
 pub use home::{Home, ROOMS_MAX, RoomUse};
 pub use motion::Movement;
-pub use observe::{Observation, ROBOT_SILENT_S, evenness};
+pub use observe::{Observation, ROBOT_SILENT_S};
 pub use sensors::{SensorKind, SensorSpec};
 pub use trace::{Cause, Reason};
 

@@ -4,6 +4,7 @@ use super::belief::{Key, Occupied, SLOTS_MAX, State, place, with};
 use super::motion::{ELSEWHERE, FORGETS, PHONELESS, Place, moving, places, room_of, settled, still, visibility};
 use super::sensors::{CLASSES, Sensor};
 use super::{Cause, ROOMS_MAX, SensorKind, Tracker};
+use crate::places::evenness;
 
 /// One observation. Persons and rooms are indices of the tracker; a person of `None` is unknown.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -225,14 +226,6 @@ fn relocate(own: &mut Tracker, slot: usize, lost: f64, places: &[(Place, f64)]) 
             add(with(key, slot, *to), lost * share);
         }
     });
-}
-
-/// The entropy of a text's likelihood, as a share of the most that its rooms can have.
-pub fn evenness(list: &[f64]) -> f64 {
-    let sound = || list.iter().copied().filter(|own| own.is_finite() && *own > 0.0);
-    let sum: f64 = sound().sum();
-    let entropy: f64 = sound().map(|own| -own / sum * (own / sum).ln()).sum();
-    if list.len() > 1 { (entropy / (list.len() as f64).ln()).clamp(0.0, 1.0) } else { 1.0 }
 }
 
 /// An action: the likelihood of its text where the person is. Of an unknown person, where the most probable person is. `placed` is how surely the

@@ -25,8 +25,8 @@ use roomcast_core::semantic_map::SemanticMap;
 
 use attribution::Attribution;
 use belief::Belief;
-use map_in_use::MapInUse;
-use publication::{Publication, named_rooms};
+use map_in_use::{MapInUse, named_rooms};
+use publication::Publication;
 use records::Records;
 use scored::Scoring;
 use ways_out::ways_out;
@@ -35,6 +35,7 @@ pub use scored::PreparedTally;
 
 mod attribution;
 mod belief;
+mod events;
 mod habit_reasons;
 mod map_in_use;
 mod publication;

@@ -25,8 +25,11 @@ use watch::Watch;
 
 pub(crate) mod chains;
 pub mod cleaning;
+mod horizon;
 mod places;
+mod predictors;
 mod report;
+mod tally;
 mod watch;
 
 pub use report::{Difference, Report, Row, Sets};

@@ -2,8 +2,10 @@
 
 use serde::Serialize;
 
-use super::super::losses::{Intervals, Summary, Sums, difference, summarise};
-use super::watch::{MIXTURE, Watch};
+use super::super::losses::{Intervals, Summary, difference, summarise};
+use super::predictors::MIXTURE;
+use super::tally::Tally;
+use super::watch::Watch;
 use super::{ALL, Days, HALF, Options, TARGETS, UNSEEN, cleaning};
 
 /// One line of the table.
@@ -90,54 +92,6 @@ pub struct Report {
     pub computed: usize,
     /// Amount of learned data.
     pub learned: roomcast_core::habits::Learned,
-}
-
-/// Sums of losses by predictor, target and day: of all cases, and of cases in new activities.
-pub(super) struct Tally {
-    sums: Vec<Vec<Sums>>,
-    unseen: Vec<Vec<Sums>>,
-}
-
-impl Tally {
-    pub(super) fn new(predictors: usize) -> Self {
-        let none = vec![Vec::new(); predictors * TARGETS.len()];
-        Self { sums: none.clone(), unseen: none }
-    }
-
-    /// The sums of a stretch of days, of all in which anything was measured.
-    fn stretch(&self, predictor: usize, target: usize, day: Days) -> Vec<Sums> {
-        let of = if day == UNSEEN { &self.unseen } else { &self.sums };
-        let mut sums = of[predictor * TARGETS.len() + target].clone();
-        sums.resize(self.days(), Sums::default());
-        match day {
-            Days::One(day) => vec![sums[day - 1]],
-            HALF => sums.split_off(self.days() / 2),
-            Days::Some(_) => sums,
-        }
-    }
-
-    fn days(&self) -> usize {
-        self.sums.iter().map(Vec::len).max().unwrap_or(0)
-    }
-
-    pub(super) fn add(
-        &mut self,
-        predictor: usize,
-        target: usize,
-        (day, unseen): (usize, bool),
-        p: &[f64],
-        truth: usize,
-    ) {
-        for (sums, counts) in [(&mut self.sums, true), (&mut self.unseen, unseen)] {
-            let days = &mut sums[predictor * TARGETS.len() + target];
-            if days.len() <= day {
-                days.resize(day + 1, Sums::default());
-            }
-            if counts {
-                days[day].add(p, truth);
-            }
-        }
-    }
 }
 
 /// The table, and the differences from the mixture.

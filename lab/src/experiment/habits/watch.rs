@@ -4,13 +4,13 @@ use super::super::ExperimentError;
 use super::super::baselines::{Baselines, Statistics};
 use super::chains::{Chain, ORDER_MAX};
 use super::cleaning::Cleaning;
-use super::places::Horizon;
-use super::report::Tally;
-use super::{ACTIVITY_S, CHAINS, FLOOR, OBJECT, OBJECT_OR_SAME, Options, PREDICTORS, ROOM, ROOM_IF_CHANGED, bound};
+use super::horizon::Horizon;
+use super::predictors::*;
+use super::tally::Tally;
+use super::{ACTIVITY_S, CHAINS, OBJECT, OBJECT_OR_SAME, Options, PREDICTORS, ROOM, ROOM_IF_CHANGED, bound};
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::habits::{Habits, HabitsOptions, Place, Turn};
-use roomcast_core::ids::PersonId;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_simulation::binding::{Binder, ItemChoice};
 use roomcast_simulation::trace::{Step, Trace};
@@ -33,34 +33,6 @@ struct Case {
     /// Whether a sentence mentioned something since.
     mentioned: bool,
     forecasts: Vec<Forecast>,
-}
-
-/// Chains of one kind of symbols, and the counts of the predictors that never expect a move.
-pub(super) struct Others {
-    pub(super) chains: [Chain; CHAINS.len()],
-    pub(super) stayed: f64,
-    pub(super) turned: f64,
-}
-
-impl Others {
-    pub(super) fn new() -> Self {
-        Self { chains: CHAINS.map(|(_, style)| Chain::new(style)), stayed: 1.0, turned: 2.0 }
-    }
-}
-
-pub(super) fn staying(here: Option<usize>, stay: f64, places: usize) -> Vec<f64> {
-    match here {
-        Some(here) if places > 1 => {
-            let other = (1.0 - stay) / (places - 1) as f64;
-            (0..places).map(|place| if place == here { stay } else { other }).collect()
-        }
-        _ => vec![1.0 / places as f64; places],
-    }
-}
-
-pub(super) fn normalise(p: &mut [f64]) {
-    let total: f64 = p.iter().map(|p| p + FLOOR).sum();
-    p.iter_mut().for_each(|p| *p = (*p + FLOOR) / total);
 }
 
 /// Probabilities given that the person leaves the present room.
@@ -115,13 +87,6 @@ pub(super) struct Watch<'a> {
     told: usize,
     pub(super) out_since_s: Option<f64>,
 }
-
-pub(super) const PERSON: PersonId = PersonId(0);
-pub(super) const MIXTURE: usize = 0;
-pub(super) const MODEL: usize = 1;
-pub(super) const STAY: usize = 3;
-pub(super) const PERSISTENCE: usize = 4;
-pub(super) const WITHOUT_MODEL: usize = 9;
 
 impl<'a> Watch<'a> {
     pub(super) fn new(

@@ -204,6 +204,13 @@ impl Belief {
         tracking.persons().iter().copied().find(|person| is_present(person) && tracking.out_now(*person) > OUT)
     }
 
+    pub(super) fn tell_robots(&mut self, now_ns: BootNs) {
+        self.robots.told_ns = now_ns;
+        if let Some(tracking) = &mut self.tracking {
+            tracking.robots(&self.robots, i64::try_from(now_ns.0).unwrap_or(i64::MAX));
+        }
+    }
+
     pub(super) fn drop_person(&mut self, person: PersonId) {
         self.followed.remove(&person);
         self.told.remove(&person);

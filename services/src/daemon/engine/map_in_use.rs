@@ -2,11 +2,14 @@
 
 use std::collections::BTreeSet;
 
-use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::grounding::{Grounding, GroundingOptions, Partition};
 use roomcast_core::places::PlaceMatcher;
 use roomcast_core::semantic_map::SemanticMap;
 
-use super::publication::NamedRooms;
+use roomcast_ipc::raw::{MAX_ROOMS, RoomV1};
+use roomcast_ipc::text;
+
+use super::EngineError;
 
 /// Most unknown room names that are logged, until the map changes.
 const UNKNOWN_ROOMS_LOGGED: usize = 16;
@@ -82,4 +85,19 @@ pub(super) fn room_named(name: &str, map: &SemanticMap, grounding: &Grounding) -
 
 pub(super) fn rooms_alike<'a>(name: &'a str, grounding: &'a Grounding) -> impl Iterator<Item = usize> + 'a {
     (0..).zip(grounding.partitions()).filter(move |(_, partition)| partition.label == name).map(|(at, _)| at)
+}
+
+/// The rooms of a message, and their number.
+pub(super) type NamedRooms = ([RoomV1; MAX_ROOMS], u32);
+
+pub(super) fn named_rooms(partitions: &[Partition]) -> Result<NamedRooms, EngineError> {
+    if partitions.len() > MAX_ROOMS {
+        return Err(EngineError::TooManyPartitions { partitions: partitions.len() });
+    }
+    let mut rooms = [RoomV1::default(); MAX_ROOMS];
+    for (room, partition) in rooms.iter_mut().zip(partitions) {
+        let name = |source| EngineError::Name { id: partition.id.clone(), source };
+        room.id = text::encode("room id", &partition.id).map_err(name)?;
+    }
+    Ok((rooms, partitions.len() as u32))
 }

@@ -4,7 +4,6 @@ use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 use roomcast_core::forecast::Forecaster;
-use roomcast_core::grounding::Partition;
 use roomcast_core::ids::{BootNs, PersonId, UnixNs};
 use roomcast_core::narration::Presence;
 use roomcast_core::pipeline::{Included, Pipeline};
@@ -19,6 +18,7 @@ use roomcast_ipc::raw::{
 use roomcast_ipc::text;
 
 use super::belief::Belief;
+use super::map_in_use::{NamedRooms, named_rooms};
 use super::{EngineError, HORIZONS_S, HomeHabits};
 use crate::daemon::persons::{Persons, message_ns, presence_value};
 
@@ -486,19 +486,4 @@ fn reached_value(effort: Effort) -> u32 {
         Effort::Top => reached::TOP,
         Effort::Deadline => reached::DEADLINE,
     }
-}
-
-/// The rooms of a message, and their number.
-pub(super) type NamedRooms = ([RoomV1; MAX_ROOMS], u32);
-
-pub(super) fn named_rooms(partitions: &[Partition]) -> Result<NamedRooms, EngineError> {
-    if partitions.len() > MAX_ROOMS {
-        return Err(EngineError::TooManyPartitions { partitions: partitions.len() });
-    }
-    let mut rooms = [RoomV1::default(); MAX_ROOMS];
-    for (room, partition) in rooms.iter_mut().zip(partitions) {
-        let name = |source| EngineError::Name { id: partition.id.clone(), source };
-        room.id = text::encode("room id", &partition.id).map_err(name)?;
-    }
-    Ok((rooms, partitions.len() as u32))
 }

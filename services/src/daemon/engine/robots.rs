@@ -8,7 +8,6 @@ use roomcast_core::tracker::{Home, ROBOT_SILENT_S};
 use roomcast_ipc::raw::{DecisionV1, RobotReportV1, action, report_kind};
 
 use super::Engine;
-use super::belief::Belief;
 
 /// Most robots; reports of further ones explain nothing.
 const ROBOTS_MAX: usize = 16;
@@ -41,7 +40,7 @@ impl Robot {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Robots {
     robots: BTreeMap<u64, Robot>,
-    told_ns: BootNs,
+    pub(super) told_ns: BootNs,
 }
 
 impl Robots {
@@ -122,15 +121,6 @@ impl<M: LanguageModel> Engine<M> {
         }
         if !before.is_alike(robot) || now_ns.since(self.belief.robots.told_ns) > AGAIN_NS {
             self.belief.tell_robots(now_ns);
-        }
-    }
-}
-
-impl Belief {
-    pub(super) fn tell_robots(&mut self, now_ns: BootNs) {
-        self.robots.told_ns = now_ns;
-        if let Some(tracking) = &mut self.tracking {
-            tracking.robots(&self.robots, i64::try_from(now_ns.0).unwrap_or(i64::MAX));
         }
     }
 }
