@@ -645,8 +645,7 @@ fn make(args: &Args, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failur
         check_rules(rules_file, text)?;
     }
     let config = configuration(&map, rules.is_some(), found);
-    let checked: Config =
-        toml::from_str(&config).map_err(|error| input(format!("{}: {error}", config_file.display())))?;
+    let checked: Config = config.parse().map_err(|error| input(format!("{}: {error}", config_file.display())))?;
     checked.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
     // The services will read exactly this configuration and map.
     Grounding::new(&map, &checked.grounding).map_err(input)?;

@@ -359,6 +359,15 @@ impl Default for ScoringConfig {
     }
 }
 
+// Not `toml::from_str` in other crates: each would compile the parser of each section again, 300 kB in the program.
+impl std::str::FromStr for Config {
+    type Err = toml::de::Error;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        toml::from_str(text)
+    }
+}
+
 impl Config {
     /// Reads and checks a configuration file. Relative paths in it start at its folder.
     ///
@@ -380,8 +389,8 @@ impl Config {
             std::io::ErrorKind::FileTooLarge => ConfigError::TooLarge { path: path.to_owned() },
             _ => read(source),
         })?;
-        let mut config: Self = toml::from_str(&text)
-            .map_err(|error| ConfigError::Parse { path: path.to_owned(), error: Box::new(error) })?;
+        let mut config: Self =
+            text.parse().map_err(|error| ConfigError::Parse { path: path.to_owned(), error: Box::new(error) })?;
         let file = std::path::absolute(path).map_err(read)?;
         config.begin_paths_at(file.parent().unwrap_or(Path::new("/")), sections::state_of_service());
         Ok(config)
