@@ -29,7 +29,7 @@ pub enum SetupError {
     #[error(
         "there is no scene {path}: give a scene's file, or a shipped scene by its name, {}{}",
         embedded::scene_names(),
-        did_you_mean(.path, embedded::SCENES.iter().map(|scene| scene.name))
+        did_you_mean(last(.path), embedded::SCENES.iter().map(|scene| scene.name))
     )]
     NoScene {
         /// The given path.
@@ -39,7 +39,7 @@ pub enum SetupError {
     #[error(
         "there is no activity program {path}: give a program's file, or a shipped program by its name, {}{}",
         embedded::program_names(),
-        did_you_mean(.path, embedded::PROGRAMS.iter().chain(&embedded::WORK_PROGRAMS).map(|program| program.name))
+        did_you_mean(last(.path), embedded::PROGRAMS.iter().chain(&embedded::WORK_PROGRAMS).map(|program| program.name))
     )]
     NoProgram {
         /// The given path.
@@ -72,6 +72,11 @@ pub enum SetupError {
         /// The pinned SHA-256.
         pinned: String,
     },
+}
+
+/// The last part of a path: a shipped name in a configuration is made absolute before it is looked up.
+fn last(path: &str) -> &str {
+    path.rsplit('/').next().unwrap_or(path)
 }
 
 /// Loads the model file at `path`, or the embedded one, and judges whether a file's scores are noise.

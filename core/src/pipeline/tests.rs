@@ -238,7 +238,7 @@ fn a_step_with_a_model_slower_than_the_deadline_keeps_the_last_scores_once() {
         let scored = pipeline.score().unwrap();
         assert_eq!((scored.is_cut, scored.asked, claim(scored)), (false, 1, sequence));
         exact.step([observation(sequence, PersonId(0))]).unwrap();
-        assert!(!exact.scores().is_cut && scored.label_log_prob_nats != before);
+        assert!(!exact.scores().is_cut);
     }
 }
 
