@@ -191,7 +191,10 @@ impl Domain {
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Flavour>()
-            .map_err(|error| join(error.into()))?;
+            .map_err(|error| match too_many_files() {
+                Some((open, limit)) => IpcError::TooManyFiles { service: "node", open, limit },
+                None => join(error.into()),
+            })?;
         self.close_to_others();
         Ok(Node {
             node,
