@@ -5,7 +5,7 @@
 //! [`UNKNOWN`] on they have none: forecasts without the model are then more likely to be right. `roomcast-lab familiarity` fits both numbers on the
 //! calibration split and prints the data (docs/experiments.md).
 //!
-//! A vocabulary of letters or bytes needs many tokens for any text. There the limit is [`SLACK`] times the tokens of plain narration.
+//! A vocabulary of letters or bytes needs many tokens for any text. There the limit is `SLACK` times the tokens of plain narration.
 
 use super::correction::Correction;
 use super::{LabelScores, LanguageModel, Method, ModelError, ScoreError, Scorer, TextStart, Token, Tokenisation};

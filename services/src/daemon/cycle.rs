@@ -256,7 +256,7 @@ impl<M: LanguageModel> Cycle<M> {
         &self.engine
     }
 
-    /// Does a small part of the model's reading after an event ([`roomcast_core::pipeline::Prefetcher::read_on`]).
+    /// Does a small part of the model's reading after an event ([`roomcast_core::pipeline::Idle::read_on`]).
     pub fn read_on(&mut self) {
         self.engine.read_on();
     }

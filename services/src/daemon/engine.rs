@@ -553,7 +553,7 @@ impl<M: LanguageModel> Engine<M> {
         self.publication.forecast(&self.belief, &self.attribution.persons, &mut self.home, now_ns)
     }
 
-    /// Each person's forecast, as [`Engine::forecast`], of at most [`MAX_PERSONS`].
+    /// Each person's forecast, as [`Engine::forecast`], of at most [`MAX_PERSONS`](roomcast_ipc::raw::MAX_PERSONS).
     pub fn person_forecasts(&mut self, now_ns: BootNs) -> &PersonForecastsV1 {
         self.look(now_ns);
         self.publication.person_forecasts(&self.belief, &self.attribution.persons, &mut self.home, now_ns)
@@ -572,13 +572,13 @@ impl<M: LanguageModel> Engine<M> {
         self.publication.message(now_ns, heartbeat, behind || waits)
     }
 
-    /// Each person's scores of the last good step as a message to send at `now_ns`, of at most [`MAX_PERSONS`].
+    /// Each person's scores of the last good step as a message to send at `now_ns`, of at most [`MAX_PERSONS`](roomcast_ipc::raw::MAX_PERSONS).
     pub fn person_scores(&mut self, now_ns: BootNs) -> &PersonScoresV1 {
         self.watch();
         self.publication.person_scores(&self.attribution.persons, now_ns)
     }
 
-    /// The scores of the last step's best items, at most [`MAX_ITEMS`], with the header that ties them to the snapshot. `None` while a changed map
+    /// The scores of the last step's best items, at most [`MAX_ITEMS`](roomcast_ipc::raw::MAX_ITEMS), with the header that ties them to the snapshot. `None` while a changed map
     /// waits for its first scores.
     pub fn items(&self) -> Option<(ItemScoresHeaderV1, impl ExactSizeIterator<Item = ItemScoreV1> + '_)> {
         self.is_scored().then(|| self.publication.items(&self.map.map, &self.scoring.pipeline))
