@@ -38,8 +38,10 @@ def test_another_reader_finds_the_recording_sound(daemon: Domain, tmp_path: path
         messages = [(schema, channel, json.loads(message.data)) for schema, channel, message in recording.iter_messages()]
         statistics = recording.get_summary().statistics
         assert len(messages) == statistics.message_count
-        moments = [json.loads(attachment.data) for attachment in recording.iter_attachments()]
-    for schema, _, data in messages:
+    moments = [data for _, channel, data in messages if channel.topic == "roomcast/v1/moment"]
+    for schema, channel, data in messages:
+        if channel.topic == "roomcast/v1/moment":
+            continue
         declared = json.loads(schema.data)
         assert schema.encoding == "jsonschema" and set(data) == set(declared["properties"])
     told = [data for _, channel, data in messages if channel.topic == ports.NARRATION.name]
