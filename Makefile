@@ -122,7 +122,7 @@ test-home: setup ## The test with a real Home Assistant, which it installs first
 	fi; \
 	ROOMCAST_HOME_ASSISTANT=$(abspath $(HOME_ASSISTANT))/bin/hass cargo test --release --locked --workspace --features full --test it home_assistant:: -- --ignored --nocapture
 
-# Each fault compiles the crates above it again: an hour on two cores.
+# Each fault compiles the crates above it again, so this takes long.
 .PHONY: faults
 faults: setup ## Puts old faults back, one after another, and prints whether a unit test finds each; fails below 13 of 15.
 	@.ci/faults
@@ -205,11 +205,11 @@ c-header: ## After a change of the messages: writes clients/c/roomcast.h.
 	ROOMCAST_WRITE_HEADER=1 cargo test --release --locked --package roomcast-ipc --test it c_header::
 
 .PHONY: deb
-deb: setup ## Builds the Debian package, portable across processors (half an hour on two cores).
+deb: setup ## Builds the Debian package, portable across processors.
 	@.ci/deb
 
 .PHONY: dist
-dist: setup ## Builds all artefacts of a release into target/dist: tarball, Debian package, wheels, crates, add-on, sums (an hour on two cores).
+dist: setup ## Builds all artefacts of a release into target/dist: tarball, Debian package, wheels, crates, add-on, sums.
 	@.ci/dist
 
 .PHONY: dist-aarch64
