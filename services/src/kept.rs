@@ -115,6 +115,7 @@ impl Kept {
 }
 
 /// The value in a table of another process's database.
+#[cfg(feature = "mqtt")]
 pub(crate) fn read<T: DeserializeOwned>(path: &Path, table: &str) -> Option<T> {
     let fields = rows(&look(path).ok()?, table).ok()??;
     serde_json::from_value(Value::Object(fields)).ok()
