@@ -258,7 +258,7 @@ trait Shown {
     ///
     /// # Errors
     /// A sentence if the order is malformed, or if the page takes none.
-    fn order(&mut self, _kind: &str, _room: Option<&str>, _for_s: Option<&str>) -> Result<(), String> {
+    fn order(&mut self, _kind: &str, _room: Option<(&str, &str)>, _for_s: Option<&str>) -> Result<(), String> {
         Err("this page takes no orders: a recording has no robot, and without a key any page could send them"
             .to_owned())
     }
@@ -279,7 +279,8 @@ fn answer(request: Request<'_>, key: Option<&str>, shown: &mut impl Shown) -> Re
     };
     if request.changes {
         let Some(kind) = query("kind").filter(|_| request.uri.path() == "/order") else { return only_get() };
-        return match shown.order(kind, query("room"), query("for")) {
+        return match shown.order(kind, query("room").map(|room| (room, query("map").unwrap_or_default())), query("for"))
+        {
             Ok(()) => Response::new("{}".to_owned()),
             Err(why) => refusal(StatusCode::BAD_REQUEST, &why),
         };
@@ -353,7 +354,13 @@ impl Shown for Live {
         self.plan.as_ref().map(|plan| plan.drawing.clone())
     }
 
-    fn order(&mut self, kind: &str, room: Option<&str>, for_s: Option<&str>) -> Result<(), String> {
+    fn order(&mut self, kind: &str, room: Option<(&str, &str)>, for_s: Option<&str>) -> Result<(), String> {
+        // The place of a room is that of the map on the page, which may have changed since.
+        let map = self.fitting_plan().map(Plan::key);
+        if room.is_some_and(|(_, of)| map.as_deref() != Some(of)) {
+            return Err("the map has changed; choose the room again".to_owned());
+        }
+        let room = room.map(|(place, _)| place);
         let control = self.control.as_mut().ok_or("without a key this page takes no orders: leave out --no-key")?;
         control.take(kind, room, for_s, self.picture.scores.as_ref().map(|(scores, _)| scores))
     }

@@ -47,7 +47,7 @@
 // The most likely room is certain.
 #define ROOMCAST_REACHED_TOP 2
 
-// Time ran out; the bounds say what is known.
+// Time ran out; the bounds hold the exact scores.
 #define ROOMCAST_REACHED_DEADLINE 3
 
 // Sent again unchanged, to say that the daemon lives: same sequence, newer published_ns.
@@ -70,10 +70,10 @@
 // they are of. A later attempt scores what this one could not.
 #define ROOMCAST_SCORE_FLAGS_SCORER_FAILED (1 << 5)
 
-// Everybody who is known or lives here is away: no room is likely, and their scores are -inf.
+// All known persons and residents are away: no room is likely, and their scores are -inf.
 #define ROOMCAST_SCORE_FLAGS_NOBODY_HOME (1 << 6)
 
-// All that the model was asked for these scores it had answered before the narration came: timing_ns has no decoder in it.
+// The model scored all of it before the narration came: timing_ns has no decoder in it.
 #define ROOMCAST_SCORE_FLAGS_PREPARED (1 << 7)
 
 // The model does not know the words of a person's narration or of the map's labels: the scores say little, and weigh less in the
@@ -86,13 +86,13 @@
 // Most persons in one message; the longest silent ones are left out, and PersonScoresV1::persons says how many there are.
 #define ROOMCAST_MAX_PERSONS 8
 
-// All that is known of the person was observed before the daemon's start.
+// Each observation of the person is from before the daemon's start.
 #define ROOMCAST_PERSON_FLAGS_RESTORED 1
 
 // Nothing for long, on a bed: possibly asleep.
 #define ROOMCAST_PERSON_FLAGS_ASLEEP (1 << 1)
 
-// The newest narration named nobody, and fitted this person best.
+// The newest narration had no name, and fitted this person best.
 #define ROOMCAST_PERSON_FLAGS_BY_FIT (1 << 2)
 
 // Not of the household: forgotten after a silence.
@@ -101,7 +101,7 @@
 // The model does not know the words of the person's narration or of the map's labels.
 #define ROOMCAST_PERSON_FLAGS_UNFAMILIAR (1 << 4)
 
-// Nothing was observed of the person.
+// The person was not observed yet.
 #define ROOMCAST_PRESENCE_UNKNOWN 0
 
 // In the house.
@@ -352,8 +352,8 @@ typedef struct RoomcastRoomScoresV1 {
   // When the newest contained narration was observed: monotonic nanoseconds, 0 for none.
   // (Offset 40.)
   uint64_t observed_ns;
-  // When the daemon received the first narration that these scores contain and those before them did not; where they contain
-  // nothing new, the last such time. Monotonic nanoseconds, 0 for none.
+  // The receipt of the first narration that is new in these scores; without a new one, the last such
+  // time. Monotonic nanoseconds, 0 for none.
   // (Offset 48.)
   uint64_t received_ns;
   // SHA-256 of the model file.
@@ -383,7 +383,7 @@ typedef struct RoomcastRoomScoresV1 {
   // Step's time: grounding.
   // (Offset 168.)
   uint64_t ground_ns;
-  // Person whose next room this is, or ALL_PERSONS.
+  // The person of these scores, or ALL_PERSONS.
   // (Offset 176.)
   uint32_t person;
   // Persons known.
@@ -415,7 +415,7 @@ typedef struct RoomcastRoomScoresV1 {
   struct RoomcastRoomV1 room[ROOMCAST_MAX_ROOMS];
 } RoomcastRoomScoresV1;
 
-// One person's scores: those that they would have alone.
+// One person's scores, as if this person were alone.
 typedef struct RoomcastPersonV1 {
   // The person's number, as narrators give it.
   // (Offset 0.)
@@ -444,7 +444,7 @@ typedef struct RoomcastPersonV1 {
   // Since when presence holds: monotonic nanoseconds, 0 where that was before the machine's start.
   // (Offset 48.)
   uint64_t since_ns;
-  // The person's name, UTF-8, zero padded; empty for one who has a number only.
+  // The person's name, UTF-8, zero padded; empty for a person with a number only.
   // (Offset 56.)
   uint8_t name[ROOMCAST_NAME_BYTES];
   // Zero.

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use roomcast_ipc::question;
 
-use super::{CommandResult, Failure, draw, ranges, score, service};
+use super::{CommandResult, Failure, draw, ranges, record, score, service};
 use crate::exit_code;
 use crate::reasons::{called, why_text};
 use roomcast_core::explanation::{Explanation, PartitionReason};
@@ -229,11 +229,14 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
     let input = |text: String| Failure::new(exit_code::INPUT, text);
     let shown = path.display();
     let found = recording::moment(path, wanted).map_err(|error| Failure::new(exit_code::INPUT, error))?;
-    let RecordedMoment { at_s, moment } = found.ok_or_else(|| {
+    let RecordedMoment { at_s, moment, is_torn } = found.ok_or_else(|| {
         input(format!(
             "the recording {shown} has no snapshot of these scores; without --at and --sequence the last one is explained"
         ))
     })?;
+    if is_torn {
+        record::tell_torn(path, "");
+    }
     let note = format!("Scores {} of the daemon {}, {at_s:.3} s into {shown}.", moment.sequence, moment.epoch);
     Ok((moment, note))
 }

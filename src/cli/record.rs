@@ -72,13 +72,17 @@ pub(super) fn read_until(path: &Path, is_stopped: &dyn Fn() -> bool) -> Result<R
         error => Failure::new(exit_code::INPUT, error),
     })?;
     if recording.is_torn {
-        let messages = count(recording.messages.len(), "message");
-        super::tell(format!(
-            "{} ends within a record, as of a recorder that was killed: what comes before is read, {messages}",
-            path.display()
-        ));
+        tell_torn(path, &format!(", {}", count(recording.messages.len(), "message")));
     }
     Ok(recording)
+}
+
+/// Says that a recorder was killed.
+pub(super) fn tell_torn(path: &Path, read: &str) {
+    let path = path.display();
+    super::tell(format_args!(
+        "{path} ends within a record, as of a recorder that was killed: what comes before is read{read}"
+    ));
 }
 
 enum Output {

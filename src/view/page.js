@@ -384,7 +384,7 @@ const get = async (path, method = "GET") => {
 const order = async (button) => {
   const { order: kind, for: seconds } = button.dataset;
   const isOfRoom = kind === "clean" || kind === "skip";
-  const query = `kind=${kind}` + (isOfRoom ? `&room=${element("order-room").value}` : "") + (seconds ? `&for=${seconds}` : "");
+  const query = `kind=${kind}` + (isOfRoom ? `&room=${element("order-room").value}&map=${state.map}` : "") + (seconds ? `&for=${seconds}` : "");
   const text = element("order-text");
   try {
     await get(`order?${query}`, "POST");

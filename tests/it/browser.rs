@@ -243,6 +243,10 @@ fn the_page_shows_a_running_system_in_a_real_browser() {
     browser.until("the robot is held", "return document.getElementById('robot').innerText.includes('On hold')");
     click("resume");
     browser.until("the robot goes on", "return !document.getElementById('robot').innerText.includes('On hold')");
+    click("skip");
+    browser.until("the order is sent", "return document.getElementById('order-text').innerText === 'Sent.'");
+    let other = "return fetch('order?kind=clean&room=0&map=other', {method: 'POST', headers: {'x-roomcast-key': location.hash.slice(1)}}).then(answer => answer.status)";
+    assert_eq!(browser.run(other), json!(400), "an order for another map");
 
     // The keyboard suffices: the first tab stop is the horizon.
     browser.run("document.activeElement.blur()");

@@ -1,4 +1,4 @@
-//! What is known at a forecast, as keys of counts: the place, the last things, time spent and the part of the day.
+//! The facts of a forecast, as keys of counts: the place, the last things, time spent and the part of the day.
 
 use super::parts::{NONE, Part, digest};
 
@@ -12,7 +12,7 @@ pub(crate) const CLASSES: usize = CLASSES_S.len() + 1;
 /// Things of the longest context.
 pub(crate) const LAST: usize = 5;
 
-/// What is known at a forecast.
+/// The facts of a forecast.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Context {
     pub(crate) here: u16,

@@ -115,7 +115,7 @@ pub struct Stored {
 }
 
 impl Stored {
-    /// Converts an earlier version: what is not counts is learned again, and counts with other numbers in their keys are dropped.
+    /// Converts an earlier version: its counts stay, except for those with other numbers in their keys; the rest is learned again.
     fn convert(&mut self) {
         for person in &mut self.persons {
             person.weights.clear();
@@ -231,7 +231,7 @@ impl Habits {
     /// counts are dropped.
     ///
     /// # Errors
-    /// [`StoredError`] when the values are of another version, or impossible. Nothing is used then.
+    /// [`StoredError`] when the values are of another version, or impossible. Then the habits stay as they were.
     pub fn from_stored(options: HabitsOptions, mut stored: Stored) -> Result<Self, StoredError> {
         let mut habits = Self::new(options);
         habits.is_converted = readable(stored.version)? < CONVERTED;
@@ -287,7 +287,7 @@ impl Habits {
         Ok(habits)
     }
 
-    /// Whether an earlier version wrote the state: what is not counts is learned again.
+    /// Whether an earlier version wrote the state: all but its counts is learned again.
     #[must_use]
     pub fn is_converted(&self) -> bool {
         self.is_converted

@@ -8,11 +8,11 @@ pub const MAX_PERSONS: usize = 8;
 
 /// Bits of [`PersonV1::flags`].
 pub mod person_flags {
-    /// All that is known of the person was observed before the daemon's start.
+    /// Each observation of the person is from before the daemon's start.
     pub const RESTORED: u32 = 1;
     /// Nothing for long, on a bed: possibly asleep.
     pub const ASLEEP: u32 = 1 << 1;
-    /// The newest narration named nobody, and fitted this person best.
+    /// The newest narration had no name, and fitted this person best.
     pub const BY_FIT: u32 = 1 << 2;
     /// Not of the household: forgotten after a silence.
     pub const VISITOR: u32 = 1 << 3;
@@ -22,7 +22,7 @@ pub mod person_flags {
 
 /// Values of [`PersonV1::presence`]; [`Presence`](crate::Presence) is their meaning.
 pub mod presence {
-    /// Nothing was observed of the person.
+    /// The person was not observed yet.
     pub const UNKNOWN: u32 = 0;
     /// In the house.
     pub const PRESENT: u32 = 1;
@@ -33,7 +33,7 @@ pub mod presence {
 }
 
 layout! {
-    /// One person's scores: those that they would have alone.
+    /// One person's scores, as if this person were alone.
     #[type_name("roomcast.PersonV1")]
     pub struct PersonV1 [2176] {
         /// The person's number, as narrators give it.
@@ -54,7 +54,7 @@ layout! {
         40 => elsewhere: f64,
         /// Since when `presence` holds: monotonic nanoseconds, 0 where that was before the machine's start.
         48 => since_ns: u64,
-        /// The person's name, UTF-8, zero padded; empty for one who has a number only.
+        /// The person's name, UTF-8, zero padded; empty for a person with a number only.
         56 => name: [u8; NAME_BYTES],
         /// Zero.
         104 => reserved: [u8; 24],
@@ -101,7 +101,7 @@ layout! {
 }
 
 impl PersonV1 {
-    /// The person's name, of a checked message; empty for one who has a number only.
+    /// The person's name, of a checked message; empty for a person with a number only.
     #[must_use]
     pub fn name(&self) -> &str {
         text::checked(&self.name)

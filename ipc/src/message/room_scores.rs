@@ -10,7 +10,7 @@ pub const MAX_SOURCES: usize = 16;
 /// Value of [`RoomScoresV1::person`]: the message speaks of all persons together.
 pub const ALL_PERSONS: u32 = u32::MAX;
 
-/// Values of [`RoomScoresV1::reached`]: why scoring stopped where it did.
+/// Values of [`RoomScoresV1::reached`]: the reason for the end of scoring.
 pub mod reached {
     /// Every label was scored; bounds equal scores.
     pub const EXACT: u32 = 0;
@@ -18,7 +18,7 @@ pub mod reached {
     pub const RANKING: u32 = 1;
     /// The most likely room is certain.
     pub const TOP: u32 = 2;
-    /// Time ran out; the bounds say what is known.
+    /// Time ran out; the bounds hold the exact scores.
     pub const DEADLINE: u32 = 3;
 }
 
@@ -38,9 +38,9 @@ pub mod score_flags {
     /// The last scoring attempt failed; these are the last good scores, sent again at once, with the narration and of the map that
     /// they are of. A later attempt scores what this one could not.
     pub const SCORER_FAILED: u32 = 1 << 5;
-    /// Everybody who is known or lives here is away: no room is likely, and their scores are `-inf`.
+    /// All known persons and residents are away: no room is likely, and their scores are `-inf`.
     pub const NOBODY_HOME: u32 = 1 << 6;
-    /// All that the model was asked for these scores it had answered before the narration came: `timing_ns` has no decoder in it.
+    /// The model scored all of it before the narration came: `timing_ns` has no decoder in it.
     pub const PREPARED: u32 = 1 << 7;
     /// The model does not know the words of a person's narration or of the map's labels: the scores say little, and weigh less in the
     /// forecast.
@@ -104,8 +104,8 @@ layout! {
         32 => published_ns: u64,
         /// When the newest contained narration was observed: monotonic nanoseconds, 0 for none.
         40 => observed_ns: u64,
-        /// When the daemon received the first narration that these scores contain and those before them did not; where they contain
-        /// nothing new, the last such time. Monotonic nanoseconds, 0 for none.
+        /// The receipt of the first narration that is new in these scores; without a new one, the last such
+        /// time. Monotonic nanoseconds, 0 for none.
         48 => received_ns: u64,
         /// SHA-256 of the model file.
         56 => model_fingerprint: [u8; 32],
@@ -125,7 +125,7 @@ layout! {
         160 => trie_ns: u64,
         /// Step's time: grounding.
         168 => ground_ns: u64,
-        /// Person whose next room this is, or [`ALL_PERSONS`].
+        /// The person of these scores, or [`ALL_PERSONS`].
         176 => person: u32,
         /// Persons known.
         180 => persons: u32,

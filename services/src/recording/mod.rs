@@ -535,6 +535,8 @@ pub struct RecordedMoment {
     pub at_s: f64,
     /// The data behind the scores.
     pub moment: Moment,
+    /// As [`Recording::is_torn`].
+    pub is_torn: bool,
 }
 
 /// Looks for a moment while a recording is read.
@@ -628,7 +630,7 @@ pub fn find(path: &Path, bytes: &[u8], wanted: Wanted) -> Result<Option<Recorded
         let of_map = recording.maps.iter().find(|own| own.map_fingerprint == moment.map_fingerprint);
         moment.scene = of_map.ok_or_else(|| wrong("the recording lacks its map".to_owned()))?.scene.clone();
     }
-    Ok(Some(RecordedMoment { at_s, moment }))
+    Ok(Some(RecordedMoment { at_s, moment, is_torn: recording.is_torn }))
 }
 
 /// Reads a recording's bytes; `path` is for errors.

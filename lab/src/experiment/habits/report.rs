@@ -23,7 +23,7 @@ pub struct Row {
     pub nll_nats: f64,
     /// Mean reciprocal rank.
     pub mrr: f64,
-    /// Share of cases whose likeliest outcome was right.
+    /// Share of cases with a right likeliest outcome.
     pub top1: f64,
     /// Mean Brier score, 0 to 2.
     pub brier: f64,
@@ -46,7 +46,7 @@ pub struct Difference {
     pub nll_nats: f64,
     /// Its 95 % interval.
     pub nll_ci95: [f64; 2],
-    /// Difference of the shares of cases whose likeliest outcome was right.
+    /// Difference of the shares of cases with a right likeliest outcome.
     pub top1: f64,
     /// Its 95 % interval.
     pub top1_ci95: [f64; 2],

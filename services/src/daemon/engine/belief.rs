@@ -22,7 +22,7 @@ use roomcast_core::pipeline::Pipeline;
 use roomcast_core::places::Mention;
 use roomcast_core::scorer::LanguageModel;
 
-/// Most events whose memory is kept. Only a stall brings more at once.
+/// Most events with kept memory. Only a stall brings more at once.
 const SEEN_KEPT: usize = 256;
 
 /// A thing with a smaller share in the person's room is in another room.
@@ -196,7 +196,7 @@ impl Belief {
         self.tell_robots(BootNs(at_ns.try_into().unwrap_or_default()));
     }
 
-    /// The next person in the house whom the filter believes to be out.
+    /// The next person in the house that the filter believes to be out.
     pub(super) fn departed(&self, persons: &Persons) -> Option<PersonId> {
         const OUT: f64 = 0.95;
         let is_present = |person: &PersonId| persons.get(*person).is_some_and(|own| own.presence == Presence::Present);

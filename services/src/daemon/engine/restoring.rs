@@ -76,7 +76,7 @@ impl<M: LanguageModel> Engine<M> {
                     engine.enter_restored(quota, own);
                 };
                 let (is_read_alone, moves) = self.attribute(observation, Quota::EARLIER, reporter, at_ns, enter);
-                // The next start repeats these moves, whoever is known then. An attribution to one person is stored already.
+                // The next start repeats these moves, also with other known persons. An attribution to one person is stored already.
                 if persons.is_empty() || !is_read_alone && moves.len() != 1 {
                     self.records.note_moves(name, moves);
                 } else {
@@ -101,7 +101,7 @@ impl<M: LanguageModel> Engine<M> {
 
     fn restore_expectation(&mut self, person: PersonId, stored: &Expectation) {
         let said: Vec<f64> = stored.probability.iter().map(|probability| f64::from(*probability)).collect();
-        // For a person who is out, the stored expectation is empty.
+        // The stored expectation of a person outside is empty.
         if said.is_empty() {
             self.records.said.insert(person, said);
             return;
