@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use roomcast_database::rusqlite::params;
-use roomcast_database::{Connection, Database, DatabaseError, Schema, WAL_BYTES_MAX, look, rusqlite};
+use roomcast_database::{Connection, Database, DatabaseError, Schema, WAL_BYTES_MAX, rusqlite};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
@@ -115,9 +115,9 @@ impl Kept {
 }
 
 /// The value in a table of another process's database.
-#[cfg(feature = "mqtt")]
+#[cfg(any(feature = "mqtt", test))]
 pub(crate) fn read<T: DeserializeOwned>(path: &Path, table: &str) -> Option<T> {
-    let fields = rows(&look(path).ok()?, table).ok()??;
+    let fields = rows(&roomcast_database::look(path).ok()?, table).ok()??;
     serde_json::from_value(Value::Object(fields)).ok()
 }
 

@@ -16,6 +16,7 @@ use roomcast_core::scorer::table::TableModel;
 use roomcast_core::scorer::{DecodeStats, ModelError, ModelInfo, TextStart, Token};
 use roomcast_core::semantic_map::delta::parse_changes;
 use roomcast_ipc::raw::{MAX_PERSONS, MAX_SOURCES, Message, forecast_flags, narration_kind};
+use roomcast_llama::LlamaModel;
 
 use super::*;
 
@@ -225,31 +226,6 @@ fn said(text: &str) -> Event {
 }
 
 #[test]
-fn texts_without_a_place_move_the_belief_by_the_models_rooms_also_after_a_restart() {
-    let events =
-        [entry(PersonId(0), 1000 * S, "They open the fridge."), entry(PersonId(0), 1060 * S, "They hum a tune.")];
-    let play = |mut engine: Engine<TableModel>| {
-        for entry in events.clone() {
-            let at_ns = entry.received_ns;
-            engine.step([entry], at_ns, UnixNs(1_000_000 * S + at_ns.0)).unwrap();
-            engine.forecast(at_ns);
-        }
-        engine
-    };
-    let (mut with, mut without) = (play(engine().with_readings()), play(engine()));
-    let fits = with.reading(&said("They hum a tune.")).unwrap();
-    let room = usize::from(fits[1] > fits[0]);
-    let moved = occupied(&mut with, room, 1060 * S);
-    assert!(moved > occupied(&mut without, room, 1060 * S), "{fits:?}");
-    assert!(with.reading(&said("They grab the mug.")).is_none() && with.reading(&said("The lamp is off.")).is_none());
-
-    let mut again = engine().with_readings();
-    again.restore(recovered(events.map(|own| own.observation)), BootNs(1060 * S), UnixNs(1_001_060 * S));
-    again.step([], BootNs(1060 * S), UnixNs(1_001_060 * S)).unwrap();
-    assert_eq!(occupied(&mut again, room, 1060 * S), moved);
-}
-
-#[test]
 fn a_step_reads_a_bounded_number_of_texts() {
     let mut engine = engine().with_readings();
     engine.scoring.readings.begin();
@@ -259,21 +235,44 @@ fn a_step_reads_a_bounded_number_of_texts() {
 }
 
 #[test]
-fn the_shipped_model_puts_cooks_into_the_kitchen_and_sleepers_into_the_bedroom() {
+fn texts_without_a_place_move_the_belief_by_the_models_rooms_also_after_a_restart() {
     let map = SemanticMap::from_json(crate::embedded::scene("flat").unwrap().text).unwrap();
-    let model = crate::setup::load_model(None, &roomcast_llama::LlamaOptions::default()).unwrap();
-    let pipeline = Pipeline::of(&map, model).unwrap();
-    let mut engine = Engine::new(pipeline, map, GroundingOptions::default(), 1).unwrap().with_readings();
+    let home = || {
+        let model = crate::setup::load_model(None, &roomcast_llama::LlamaOptions::default()).unwrap();
+        let pipeline = Pipeline::of(&map, model).unwrap();
+        Engine::new(pipeline, map.clone(), GroundingOptions::default(), 1).unwrap()
+    };
+    let mut engine = home().with_readings();
     engine.scoring.readings.begin();
-    for (text, room) in [
-        ("Mira is cooking.", "kitchen"),
-        ("A woman is chopping vegetables.", "kitchen"),
-        ("Jon goes to sleep.", "bedroom"),
+    let room = |id: &str| home().room_ids().position(|own| own == id).unwrap();
+    for (text, own) in [
+        ("Mira is cooking.", room("kitchen")),
+        ("A woman is chopping vegetables.", room("kitchen")),
+        ("Jon goes to sleep.", room("bedroom")),
     ] {
         let fits = engine.reading(&said(text)).unwrap();
-        let own = engine.room_ids().position(|id| id == room).unwrap();
         let others = fits.iter().enumerate().filter(|(other, _)| *other != own).map(|(_, fits)| *fits);
         assert!(fits[own] > 2.0 * others.fold(0.0, f64::max), "{text} {fits:?}");
+    }
+    assert!(
+        engine.reading(&said("They grab the mug.")).is_none() && engine.reading(&said("The lamp is off.")).is_none()
+    );
+
+    let events = || [(1000, "They sit on the sofa."), (1060, "Jon goes to sleep.")];
+    let events = || events().map(|(at_s, text)| entry(PersonId(0), at_s * S, text));
+    let asleep = |mut engine: Engine<LlamaModel>, is_restart: bool| {
+        let now = (BootNs(1060 * S), UnixNs(1_001_060 * S));
+        if is_restart {
+            engine.restore(recovered(events().map(|own| own.observation)), now.0, now.1);
+            engine.step([], now.0, now.1).unwrap();
+        } else {
+            engine.step(events(), now.0, now.1).unwrap();
+        }
+        engine.forecast(now.0).probability[room("bedroom")][0]
+    };
+    for is_restart in [false, true] {
+        let (with, without) = (asleep(home().with_readings(), is_restart), asleep(home(), is_restart));
+        assert!(with > without + 0.05, "{is_restart} {with} {without}");
     }
 }
 
