@@ -999,6 +999,10 @@ impl World {
                         records.push_back((moved.into(), false));
                         attributed = *appended;
                     });
+                    cycle.engine_mut().tell_gone(|gone| {
+                        *appended += 1;
+                        records.push_back((gone, false));
+                    });
                     cycle.engine_mut().tell_outcomes(|outcome| {
                         *appended += 1;
                         records.push_back((outcome.into(), false));
@@ -1102,7 +1106,9 @@ impl World {
             let right = held.iter().all(|held| rest.any(|said| said == held))
                 && (held.is_empty() || held.last() == said.last())
                 && (!alone || said.ends_with(&held));
-            ensure(right, || format!("the history of person {person} lacks accepted narration"))?;
+            ensure(right, || {
+                format!("the history of person {person} lacks accepted narration: it has {held:?}, said was {said:?}")
+            })?;
         }
         Ok(())
     }
@@ -1458,15 +1464,15 @@ impl World {
             // It may contain the row of a source's port.
             self.strangers.clear();
         }
-        self.check_recovered(&back)?;
+        let whose = attributions(&recovered);
+        self.check_recovered(&back, &whose)?;
         // A start that missed events has other beliefs, so it is not compared with the ghost.
         let is_whole = |ghost: &mut Ghost| ghost.accepted == back.len() && !self.disk.was_misread();
         self.ghost = self.ghost.take_if(is_whole);
         self.accepted = back.iter().map(as_it_came).collect();
         self.taken.extend(back.iter().map(Observation::id));
         self.attributed.clear();
-        let by_fit = back.iter().filter(|o| o.by_fit);
-        self.attributed.extend(by_fit.map(|o| (o.id(), o.person)));
+        self.attributed.extend(&whose);
         if self.planted == Planted::NoAttributionsAfterRestart {
             // All of them get the same person.
             recovered.observations.iter_mut().filter(|o| o.by_fit).for_each(|o| o.person = PersonId(1));
@@ -1521,7 +1527,7 @@ impl World {
     /// A restart restores the accepted events, each once and in order, except for permitted losses: events deleted by the limit, which are older than
     /// most remaining ones; events that the disk refused or that were unsynced in a power failure; and all events, if the database is damaged. It
     /// restores no other events.
-    fn check_recovered(&mut self, back: &[Observation]) -> Check {
+    fn check_recovered(&mut self, back: &[Observation], whose: &BTreeMap<EventId, PersonId>) -> Check {
         let set_aside = self.disk.tally().set_aside;
         let is_hurt = self.is_damaged || self.disk.was_misread() || set_aside > self.set_aside;
         self.set_aside = set_aside;
@@ -1533,14 +1539,16 @@ impl World {
                 format!("the journal gives back what was never accepted: {again:?}")
             })?;
             // Claimed events have an attribution; damage or a failed sync may have deleted it.
-            let forgotten = !again.by_fit && self.claimed.contains(&name) && self.attributed.contains_key(&name);
+            let now = whose.get(&name);
+            let forgotten = now.is_none() && self.claimed.contains(&name) && self.attributed.contains_key(&name);
             // A kill between a failed sync and the next write loses the data of that sync.
             let is_lost = self.lost_power || self.is_refused || self.lacks_pages();
             let may_be = self.tally.is_hurt() || is_lost || is_hurt;
             ensure(!forgotten || may_be, || format!("whose {name:?} is was claimed and is forgotten"))?;
-            let other = again.by_fit && self.attributed.get(&name).is_some_and(|person| *person != again.person);
-            let was_said = may_be && self.ever_attributed.contains(&(name, again.person));
-            ensure(!other || was_said, || format!("{name:?} is somebody else's after a restart"))?;
+            let before = self.attributed.get(&name);
+            let is_other = now.is_some_and(|now| before.is_some_and(|before| before != now));
+            let was_said = may_be && now.is_some_and(|now| self.ever_attributed.contains(&(name, *now)));
+            ensure(!is_other || was_said, || format!("{name:?} is somebody else's after a restart"))?;
         }
         let in_order = self.accepted.iter().map(Observation::id).filter(|name| names.contains(name));
         let before =
@@ -1590,7 +1598,7 @@ impl World {
         self.tally.misread += u64::from(self.disk.was_misread());
         ensure(lost.is_empty(), || format!("{} narrations missing from the history: {lost:?}", lost.len()))?;
         // The daemon may publish and claim the attribution again.
-        for unsaid in back.iter().filter(|back| !back.by_fit).map(Observation::id) {
+        for unsaid in back.iter().map(Observation::id).filter(|name| !whose.contains_key(name)) {
             if self.attributed.remove(&unsaid).is_some() {
                 self.claimed.remove(&unsaid);
             }
@@ -1975,6 +1983,20 @@ fn a_full_disk_takes_events_in_the_space_of_the_log() {
         writer.sync().unwrap();
     }
     assert_eq!(writer.recover().unwrap().observations.last().unwrap().sequence, sequence);
+}
+
+/// The persons of unnamed events in the database. A power failure can take an attribution and leave the move before it.
+fn attributions(recovered: &Recovered) -> BTreeMap<EventId, PersonId> {
+    let person = |back: &Observation| {
+        let moves = recovered.moved.get(&back.id()).map_or(&[][..], Vec::as_slice);
+        match moves {
+            _ if back.by_fit => Some(back.person),
+            [own] if back.person == PersonId::SOMEBODY && own.by_fit && own.event.is_none() => Some(own.person),
+            _ => None,
+        }
+    };
+    let whose = recovered.observations.iter().filter_map(|back| Some((back.id(), person(back)?)));
+    whose.filter(|(_, person)| *person != PersonId::SOMEBODY).collect()
 }
 
 fn is_long(seed: u64) -> bool {
