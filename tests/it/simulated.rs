@@ -103,6 +103,8 @@ const HISTORY: usize = 32;
 const BUFFER: usize = 2;
 const GROUNDING: GroundingOptions = GroundingOptions { level: PartitionLevel::Room, room_labels: false };
 const BOOT: [u8; 16] = [7; 16];
+/// The joint filter of a running daemon has passed such times; that of a start has not.
+const LATE_NS: u64 = 2_000_000_000;
 /// Silence after which a visitor is forgotten.
 const VISITOR_S: f64 = 0.4;
 const NAMES: [&str; 2] = ["ada", "ben"];
@@ -345,6 +347,8 @@ struct World {
     residents: Vec<String>,
     /// The joint filter ran: it can move unnamed persons.
     was_joint: bool,
+    /// Narration arrived seconds after its event.
+    was_late: bool,
     maps: [SemanticMap; 2],
     options: PipelineOptions,
     failures: Rc<Cell<u32>>,
@@ -451,6 +455,7 @@ impl World {
             faithful: rng.random_bool(0.5),
             persons,
             was_joint: false,
+            was_late: false,
             residents: residents.iter().map(|name| (*name).to_owned()).collect(),
             maps: [SCENE, LARGER_SCENE].map(|scene| SemanticMap::from_json(scene).unwrap()),
             options: PipelineOptions { history, ..Default::default() },
@@ -783,6 +788,7 @@ impl World {
                 // Damage to the journal may have deleted an event that is not resent.
                 let lost = self.faithful && missed > self.damaged.len() as u64;
                 ensure(!lost, || format!("lost on a faithful transport: {missed} before {name:?}"))?;
+                self.was_late |= self.now_ns > observation.observed_ns.0 + LATE_NS;
                 self.accepted.push(observation);
                 self.note(|| format!("daemon accepts {name:?}"));
             }
@@ -1302,8 +1308,8 @@ impl World {
                 // Habits learned after the last write are learned again in less detail. Observations older than the journal affect the length of
                 // stays.
                 let tolerance = if is_joint { 0.1 } else { 1e-4 };
-                // The joint filter moves persons by the local hour, and starts with the events of the database.
-                let is_moved = is_joint && (self.tally.clocks_set > 0 || self.trimmed > 0);
+                // The joint filter moves persons by the local hour, starts with the events of the database, and weighs a late event when it arrives.
+                let is_moved = is_joint && (self.tally.clocks_set > 0 || self.trimmed > 0 || self.was_late);
                 let is_open = !same_windows || self.learns || self.trimmed > 0 || is_moved;
                 ensure(is_open || (before - after).abs() < tolerance, || {
                     format!("after a restart person {} is in a room with {after}, before with {before}", own.person)
