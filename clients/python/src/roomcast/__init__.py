@@ -521,8 +521,8 @@ class Narrator(_Participant):
             self._wait_for_room()
 
     def understood(self, first: int = 1, timeout_s: float = 10) -> list[dict[str, Any]]:
-        """The daemon's interpretation of the events from the number `first` on, oldest first: `sequence`, `event`, `persons`, `by`, `place`,
-        `presence`, and `why` if an event changed no belief. The daemon stores its newest 512 events."""
+        """The daemon's interpretation of the events from the number `first` on, oldest first: `sequence`, `event`, `persons`, `by`,
+        `place` (a thing or a room), `presence`, and `why` if an event changed no belief. The daemon stores its newest 512 events."""
         question = {"ask": "understood", "source": self.source, "epoch": self.epoch, "from": first}
         return list(_ask(self.node, ports.PERSON, question, timeout_s).get("understood", []))
 
