@@ -1466,8 +1466,8 @@ impl World {
         let misread = if self.disk.was_misread() { ", and a block is misread" } else { "" };
         let damaged = recovered.damaged;
         self.note(|| format!("daemon starts with {} narrations{misread}, {damaged} damaged rows", back.len()));
-        if self.disk.was_misread() || self.disk.tally().set_aside > self.set_aside {
-            // It may contain the row of a source's port.
+        if self.disk.was_misread() || self.lost_pages || self.disk.tally().set_aside > self.set_aside {
+            // The row of a source's port may be lost.
             self.strangers.clear();
         }
         let whose = attributions(&recovered);
