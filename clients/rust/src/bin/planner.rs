@@ -10,7 +10,7 @@ const SILENT: Duration = Duration::from_secs(2);
 
 fn main() -> Result<(), Error> {
     let mut planner = Domain::for_user()?.planner("robot")?;
-    let mut ordered = None;
+    let mut ordered: Option<String> = None;
     loop {
         let known = planner.next_forecast(SILENT)?.filter(|forecast| forecast.is_known());
         let Some(forecast) = known else {
