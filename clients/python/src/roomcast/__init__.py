@@ -1,11 +1,16 @@
 """Narrators, planners and robots for Roomcast.
 
-    from roomcast import Planner
+    from roomcast import ForecastFlags, Planner
 
     with Planner("my-planner") as planner:
-        for forecast in planner.forecasts():
-            calmest = min(forecast.rooms, key=lambda room: forecast.occupied(room.id, 60))
-            planner.decide(calmest.id, "the room is least likely to be occupied in a minute")
+        while True:
+            for forecast in planner.forecasts(timeout_s=2):
+                if ForecastFlags.NOT_KNOWN in forecast.flags:
+                    planner.pause("no person was observed yet")
+                    continue
+                calmest = min(forecast.rooms, key=lambda room: forecast.occupied(room.id, 60))
+                planner.decide(calmest.id, "the room is least likely to be occupied in a minute")
+            planner.pause("no forecast for two seconds")
 """
 
 from __future__ import annotations

@@ -181,6 +181,10 @@ impl<M: LanguageModel> Engine<M> {
         if let Some(reason) = self.refusal(own, who_is, reporter, at_ns) {
             return Weighed::Refused(reason);
         }
+        if let Some(person) = who_is {
+            // The visit ends before the filter takes the event.
+            self.end_visit(person, at_ns);
+        }
         // The filter knows no rooms of a changed map before its first scores.
         if self.map.next_rooms.is_some() {
             return Weighed::NotNeeded;
@@ -347,6 +351,15 @@ impl<M: LanguageModel> Engine<M> {
         self.take(own, Quota::EARLIER, (reporter, true), at_ns).ok()
     }
 
+    /// After such a silence a visitor was gone, although no step noticed it.
+    fn end_visit(&mut self, person: PersonId, at_ns: i64) {
+        if self.attribution.persons.has_expired(person, at_ns) {
+            self.watch();
+            self.attribution.persons.remove(person);
+            self.drop_person(person);
+        }
+    }
+
     /// Takes in the part of one person, unless a later event says otherwise or the person is guarded. A part that a former run took in counts
     /// in any case.
     pub(super) fn take(
@@ -364,12 +377,7 @@ impl<M: LanguageModel> Engine<M> {
         }
         let at_ns = at_ns.map(|at_ns| self.attribution.persons.in_order(&observation, at_ns));
         let noted_ns = at_ns.unwrap_or_default();
-        // After such a silence a visitor was gone, although no step noticed it.
-        if self.attribution.persons.has_expired(observation.person, noted_ns) {
-            self.watch();
-            self.attribution.persons.remove(observation.person);
-            self.drop_person(observation.person);
-        }
+        self.end_visit(observation.person, noted_ns);
         if !was_taken && at_ns.is_some_and(|at_ns| self.attribution.persons.is_outdated(&observation, at_ns)) {
             return Err(Reason::Outdated);
         }
