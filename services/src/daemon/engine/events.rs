@@ -117,17 +117,18 @@ impl<M: LanguageModel> Engine<M> {
             }
             Who::Unknown(_) if own.by_fit => vec![own],
             Who::Unknown(count) => {
-                let mut persons = self.attribution.persons.unnamed(reporter.is_unknown);
-                persons.truncate((*count).into());
-                self.note_attributed(&own, &persons);
-                persons.into_iter().map(|person| Observation { person, by_fit: true, ..own.clone() }).collect()
+                let persons = self.attribution.persons.unnamed(reporter.is_unknown).take((*count).into());
+                let part = |person| Observation { person, by_fit: true, ..own.clone() };
+                let parts: Vec<Observation> = persons.map(part).collect();
+                self.note_attributed(&parts);
+                parts
             }
         }
     }
 
-    fn note_attributed(&mut self, own: &Observation, persons: &[PersonId]) {
-        if let [person] = *persons {
-            self.records.attributed.push(Attributed { event: own.id(), person });
+    fn note_attributed(&mut self, parts: &[Observation]) {
+        if let [only] = parts {
+            self.records.attributed.push(Attributed { event: only.id(), person: only.person });
         }
     }
 
@@ -232,7 +233,7 @@ impl<M: LanguageModel> Engine<M> {
         let Some(tracking) = &mut self.belief.tracking else { return Weighed::NotNeeded };
         if count > 1 && !self.attribution.persons.has_residents() {
             // Nothing limits the number of persons.
-            for person in self.attribution.persons.unnamed(reporter.is_unknown).into_iter().take(count.into()) {
+            for person in self.attribution.persons.unnamed(reporter.is_unknown).take(count.into()) {
                 tracking.index_of(person);
             }
         }
@@ -333,8 +334,7 @@ impl<M: LanguageModel> Engine<M> {
         if let [only] = &parts[..]
             && only.event == own.event
         {
-            let person = only.person;
-            self.note_attributed(own, &[person]);
+            self.note_attributed(&parts);
         }
         if let Some(tracking) = &mut self.belief.tracking {
             idle.into_iter().for_each(|person| tracking.remove(person));
