@@ -1,7 +1,7 @@
 use roomcast_core::grounding::GroundingOptions;
 use roomcast_core::ids::PersonId;
 use roomcast_core::narration::{Event, Quota, Sentence};
-use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+use roomcast_core::pipeline::Pipeline;
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::semantic_map::delta::parse_changes;
@@ -34,10 +34,8 @@ fn options(learn: bool) -> HabitsOptions {
 
 fn engine(home: Option<HomeHabits>) -> Engine<TableModel> {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
-    let options = GroundingOptions::default();
-    let grounding = Grounding::new(&map, &options).unwrap();
-    let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
-    let engine = Engine::new(pipeline, map, options, 1).unwrap();
+    let pipeline = Pipeline::of(&map, TableModel::new(7)).unwrap();
+    let engine = Engine::new(pipeline, map, GroundingOptions::default(), 1).unwrap();
     match home {
         Some(home) => engine.with_habits(home),
         None => engine,
@@ -666,16 +664,6 @@ fn nothing_is_learned_of_visitors() {
     house.say(PersonId(4), 7 * H + 120, "away");
     house.say(PersonId(3), 7 * H + 180, "They stand up.");
     assert_eq!(house.engine.habits().persons(), [(PersonId(3), 2.0)]);
-}
-
-#[test]
-fn an_hour_is_a_local_one() {
-    let zone = Zone(tz::TimeZone::from_posix_tz("CET-1CEST,M3.5.0,M10.5.0/3").ok());
-    // 2024-03-31: at 1:00 UTC it becomes 3:00.
-    let night_s = 1_711_846_800;
-    assert_eq!(zone.local_s(UnixNs((night_s - 60) * S)), (night_s - 60 + H) as f64);
-    assert_eq!(zone.local_s(UnixNs((night_s + 60) * S)), (night_s + 60 + 2 * H) as f64);
-    assert_eq!(Zone::UTC.local_s(UnixNs(night_s * S)), night_s as f64);
 }
 
 #[test]
