@@ -78,7 +78,7 @@ impl House {
         let journal = &mut self.journal;
         self.engine.tell_beliefs(|believed| journal.push(believed));
         self.engine.tell_moved(|moved| journal.push(Record::Moved(moved.clone())));
-        self.engine.tell_gone(|person| journal.push(Record::Gone(person)));
+        self.engine.tell_gone(|gone| journal.push(gone));
         self.engine.tell_outcomes(|outcome| journal.push(outcome));
     }
 
@@ -443,7 +443,7 @@ fn forgotten_persons_stay_forgotten_after_a_restart() {
     house.after(1, "somebody", "Nobody is home.");
     let ada = house.engine.persons().number_of("ada");
     house.engine.forget(ada, |_| false);
-    house.journal.push(Record::Gone(ada));
+    house.journal.push(Record::Gone { person: ada, after: None });
     house.step(None);
     for _ in 0..2 {
         assert_eq!((house.presence("ada"), house.presence("ben")), (None, Some(presence::AWAY)));
