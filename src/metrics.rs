@@ -188,6 +188,7 @@ impl Metrics {
         metrics
     }
 
+    /// Long, because it is a list: each metric with its text.
     fn register(&mut self) {
         let r = &mut self.registry;
         let s = Unit::Seconds;

@@ -410,45 +410,17 @@ impl Manifest {
     }
 }
 
+/// A table with these heads, with commas between them.
+fn headed(heads: &str) -> comfy_table::Table {
+    roomcast_cli::table(&heads.split(", ").collect::<Vec<_>>())
+}
+
 fn forecast_text(report: &Report) -> String {
-    let mut table = roomcast_cli::table(&[
-        "scene",
-        "target",
-        "things",
-        "predictor",
-        "cases",
-        "nll (nats)",
-        "top-1",
-        "top-5",
-        "mrr",
-        "brier",
-        "confidence",
-        "ece",
-    ]);
-    let mut differences = roomcast_cli::table(&[
-        "scene",
-        "target",
-        "things",
-        "model less",
-        "nll (nats)",
-        "top-1",
-        "top-5",
-        "mrr",
-        "brier",
-    ]);
-    let mut activities = roomcast_cli::table(&[
-        "scene",
-        "target",
-        "things",
-        "predictor",
-        "nll (nats)",
-        "top-1",
-        "mrr",
-        "ece",
-        "model less: nll (nats)",
-        "top-1",
-        "mrr",
-    ]);
+    let mut table =
+        headed("scene, target, things, predictor, cases, nll (nats), top-1, top-5, mrr, brier, confidence, ece");
+    let mut differences = headed("scene, target, things, model less, nll (nats), top-1, top-5, mrr, brier");
+    let mut activities =
+        headed("scene, target, things, predictor, nll (nats), top-1, mrr, ece, model less: nll (nats), top-1, mrr");
     let mut rows: Vec<_> = report.rows.iter().collect();
     rows.sort_by(|a, b| (&a.scene, a.target, a.items).cmp(&(&b.scene, b.target, b.items)));
     let with = |(value, interval): (f64, Option<[f64; 2]>)| match interval {
@@ -477,15 +449,7 @@ fn forecast_text(report: &Report) -> String {
         if report.activities == 1 { "1 activity".to_owned() } else { format!("{} activities", report.activities) }
     );
     if !report.nearness.is_empty() {
-        let mut near = roomcast_cli::table(&[
-            "nearness",
-            "programs",
-            "cases",
-            "nll (nats)",
-            "mrr",
-            "over activities: nll (nats)",
-            "mrr",
-        ]);
+        let mut near = headed("nearness, programs, cases, nll (nats), mrr, over activities: nll (nats), mrr");
         for third in &report.nearness {
             let [from, to] = third.nearness;
             let (s, by) = (&third.model_less_kneser_ney_cache, &third.by_activity);
@@ -536,18 +500,26 @@ fn left_out(report: &Report) -> String {
     }
 }
 
-/// The tables of the model card: next object and next room, both bindings, and the differences from the baselines.
-fn forecast_markdown(report: &Report) -> String {
-    let cell = |(value, interval): (f64, Option<[f64; 2]>)| match interval {
+type Figure = (f64, Option<[f64; 2]>);
+
+fn level((value, interval): Figure) -> String {
+    match interval {
         None => format!("{value:.2}"),
         Some([low, high]) => format!("{value:.2} [{low:.2}, {high:.2}]"),
-    };
-    // For a difference, the sign of each end matters most.
+    }
+}
+
+/// For a difference, the sign of each end matters most.
+fn difference((value, interval): Figure) -> String {
     let end = |end: f64| if end != 0.0 && end.abs() < 0.005 { format!("{end:+.3}") } else { format!("{end:.2}") };
-    let less_cell = |(value, interval): (f64, Option<[f64; 2]>)| match interval {
+    match interval {
         None => end(value),
         Some([low, high]) => format!("{} [{}, {}]", end(value), end(low), end(high)),
-    };
+    }
+}
+
+/// The tables of the model card: next object and next room, both bindings, and the differences from the baselines.
+fn forecast_markdown(report: &Report) -> String {
     let find = |scene: &str, predictor: &str, target: Target, items: Option<&str>| {
         report.rows.iter().find(|row| {
             row.scene == scene
@@ -558,62 +530,39 @@ fn forecast_markdown(report: &Report) -> String {
     };
     let mut scenes: Vec<&str> = report.rows.iter().map(|row| row.scene.as_str()).collect();
     scenes.dedup();
-    let mut predictors: Vec<&str> = report.rows.iter().map(|row| row.predictor).collect();
-    predictors.sort_unstable();
-    predictors.dedup();
-    let items: Vec<&str> = BINDINGS.map(<&str>::from).to_vec();
-    let items: Vec<&str> =
-        items.into_iter().filter(|items| report.rows.iter().any(|row| row.items == Some(items))).collect();
+    let predictors: Vec<&str> = report.rows.iter().map(|row| row.predictor).collect();
+    let is_measured = |items: &&str| report.rows.iter().any(|row| row.items == Some(*items));
+    let items: Vec<&str> = BINDINGS.map(<&str>::from).into_iter().filter(is_measured).collect();
     let mut header: Vec<String> =
         ["place", "predictor", "object: NLL", "MRR", "top-1", "confidence", "ECE"].map(str::to_owned).to_vec();
-    for items in &items {
-        header.extend(["room: NLL", "ECE", "changes found", "where to"].map(|name| format!("{name} ({items})")));
-    }
+    let of_rooms = |items| ["room: NLL", "ECE", "changes found", "where to"].map(|name| format!("{name} ({items})"));
+    header.extend(items.iter().flat_map(of_rooms));
     let (n, m) = (report.programs, report.activities);
-    let order = [
-        "model",
-        "model-near",
-        "model-cache",
-        "model-kneser-ney-cache",
-        "kneser-ney",
-        "kneser-ney-cache",
-        "markov2",
-        "markov1",
-        "frequency",
-        "uniform",
-        "stay",
-        "no-narration",
-    ];
-    let (mut levels, mut programs, mut activities) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut alike, mut alike_less) = (Vec::new(), Vec::new());
+    let order = "model, model-near, model-cache, model-kneser-ney-cache, kneser-ney, kneser-ney-cache, markov2, markov1, \
+                 frequency, uniform, stay, no-narration";
+    let [mut levels, mut programs, mut activities, mut alike, mut alike_less] = [const { Vec::new() }; 5];
     for scene in &scenes {
-        for predictor in order.into_iter().filter(|name| predictors.contains(name)) {
-            type Cell<'a> = &'a dyn Fn((f64, Option<[f64; 2]>)) -> String;
-            let figures = |of: &dyn Fn(&prediction::Row) -> Option<Summary>, cell: Cell<'_>| -> Option<Vec<String>> {
-                let object = of(find(scene, predictor, Target::Object, None)?)?;
-                let mut cells = vec![
-                    (*scene).to_owned(),
-                    predictor.to_owned(),
-                    cell(object.nll()),
-                    cell(object.mrr()),
-                    cell(object.top1()),
-                    cell(object.confidence()),
-                    cell(object.ece()),
-                ];
-                for items in &items {
-                    let room = of(find(scene, predictor, Target::Room, Some(items))?)?;
-                    let change = of(find(scene, predictor, Target::RoomChange, Some(items))?)?;
-                    let to = of(find(scene, predictor, Target::RoomIfChanged, Some(items))?)?;
-                    cells.extend([room.nll(), room.ece(), change.top1(), to.top1()].map(cell));
-                }
-                Some(cells)
-            };
-            levels.extend(figures(&|row| Some(row.summary), &cell));
-            alike.extend(figures(&|row| Some(row.macro_average), &cell));
+        for predictor in order.split(", ").filter(|name| predictors.contains(name)) {
+            let figures =
+                |of: fn(&prediction::Row) -> Option<Summary>, cell: fn(Figure) -> String| -> Option<Vec<String>> {
+                    let object = of(find(scene, predictor, Target::Object, None)?)?;
+                    let mut cells = vec![(*scene).to_owned(), predictor.to_owned()];
+                    let of_object = [object.nll(), object.mrr(), object.top1(), object.confidence(), object.ece()];
+                    cells.extend(of_object.map(cell));
+                    for items in &items {
+                        let room = of(find(scene, predictor, Target::Room, Some(items))?)?;
+                        let change = of(find(scene, predictor, Target::RoomChange, Some(items))?)?;
+                        let to = of(find(scene, predictor, Target::RoomIfChanged, Some(items))?)?;
+                        cells.extend([room.nll(), room.ece(), change.top1(), to.top1()].map(cell));
+                    }
+                    Some(cells)
+                };
+            levels.extend(figures(|row| Some(row.summary), level));
+            alike.extend(figures(|row| Some(row.macro_average), level));
             if ["model-near", "kneser-ney", "kneser-ney-cache", "frequency", "stay"].contains(&predictor) {
-                programs.extend(figures(&|row| row.model_less_this, &less_cell));
-                activities.extend(figures(&|row| row.model_less_this_by_activity, &less_cell));
-                alike_less.extend(figures(&|row| row.model_less_this_macro, &less_cell));
+                programs.extend(figures(|row| row.model_less_this, difference));
+                activities.extend(figures(|row| row.model_less_this_by_activity, difference));
+                alike_less.extend(figures(|row| row.model_less_this_macro, difference));
             }
         }
     }
@@ -626,43 +575,16 @@ fn forecast_markdown(report: &Report) -> String {
         markdown(&less, &programs)
     );
     if m > 1 {
-        let _ = writeln!(text, "\nThe same, intervals over {m} activities:\n\n{}", markdown(&less, &activities));
+        let tables = [(&less, &activities), (&header, &alike), (&less, &alike_less)];
+        let [by_activity, alike, alike_less] = tables.map(|(heads, rows)| markdown(heads, rows));
         let _ = writeln!(
             text,
-            "\nMeans in which each of {m} activities counts alike:\n\n{}\n\n{}",
-            markdown(&header, &alike),
-            markdown(&less, &alike_less)
+            "\nThe same, intervals over {m} activities:\n\n{by_activity}\n\n\
+             Means in which each of {m} activities counts alike:\n\n{alike}\n\n{alike_less}"
         );
     }
     if !report.nearness.is_empty() {
-        let rows: Vec<Vec<String>> = report
-            .nearness
-            .iter()
-            .map(|third| {
-                let (s, by) = (&third.model_less_kneser_ney_cache, &third.by_activity);
-                vec![
-                    format!("{:.2} to {:.2}", third.nearness[0], third.nearness[1]),
-                    third.programs.to_string(),
-                    less_cell(s.nll()),
-                    less_cell(s.mrr()),
-                    less_cell(by.nll()),
-                    less_cell(by.mrr()),
-                ]
-            })
-            .collect();
-        let header = [
-            "objects in common with the nearest trained program",
-            "programs",
-            "NLL",
-            "MRR",
-            "over activities: NLL",
-            "MRR",
-        ];
-        let _ = writeln!(
-            text,
-            "\nThe model less Kneser-Ney with its cache, next object, by nearness:\n\n{}",
-            markdown(&header, &rows)
-        );
+        let _ = writeln!(text, "\n{}", near_markdown(report));
     }
     let _ = writeln!(
         text,
@@ -676,6 +598,19 @@ fn forecast_markdown(report: &Report) -> String {
         corrections(report)
     );
     text
+}
+
+fn near_markdown(report: &Report) -> String {
+    let row = |third: &prediction::Near| {
+        let (s, by) = (&third.model_less_kneser_ney_cache, &third.by_activity);
+        let [from, to] = third.nearness;
+        let figures = [s.nll(), s.mrr(), by.nll(), by.mrr()].map(difference);
+        [format!("{from:.2} to {to:.2}"), third.programs.to_string()].into_iter().chain(figures).collect()
+    };
+    let rows: Vec<Vec<String>> = report.nearness.iter().map(row).collect();
+    let header = "objects in common with the nearest trained program, programs, NLL, MRR, over activities: NLL, MRR";
+    let table = markdown(&header.split(", ").collect::<Vec<_>>(), &rows);
+    format!("The model less Kneser-Ney with its cache, next object, by nearness:\n\n{table}")
 }
 
 fn markdown<H: AsRef<str>, C: AsRef<str>>(header: &[H], rows: &[Vec<C>]) -> String {

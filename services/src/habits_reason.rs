@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use roomcast_core::habits::{RoomShares, Shares};
+use roomcast_core::habits::Shares;
 use roomcast_core::ids::PersonId;
 use roomcast_core::text::count;
 use serde::{Deserialize, Serialize};
@@ -46,7 +46,7 @@ pub struct RoomReason {
     pub room: String,
     /// The shares of the sources.
     #[serde(flatten)]
-    pub shares: RoomShares,
+    pub shares: Shares,
 }
 
 /// The learned part of a person's present forecast.
@@ -96,6 +96,27 @@ fn habit(observations: &[f64; 4]) -> &'static str {
     if observations.iter().all(|count| *count < 0.5) { "what habit begins with" } else { "habit" }
 }
 
+/// Writes the likeliest things or rooms under a title.
+fn write_shares<'a>(
+    f: &mut fmt::Formatter<'_>,
+    title: &str,
+    reasons: impl Iterator<Item = (&'a String, &'a Shares)>,
+) -> fmt::Result {
+    for (at, (name, Shares { probability, model, habit, things, hour, observations })) in
+        reasons.take(SHOWN).enumerate()
+    {
+        if at == 0 {
+            writeln!(f, "{title}")?;
+        }
+        let (p, model, name_of_habit) = (percent(*probability), percent(*model), self::habit(observations));
+        write!(f, "    {name} {p}: language model {model}, {name_of_habit} {}, ", percent(*habit))?;
+        things.iter().try_for_each(|things| write!(f, "the next thing {}, ", percent(*things)))?;
+        let place = if things.is_some() { " in this room" } else { "" };
+        writeln!(f, "hour {}; {}", percent(*hour), from(observations, place))?;
+    }
+    Ok(())
+}
+
 impl PersonHabits {
     /// Writes the places of a set to the end of the line. The coverage of the set holds only in the long run.
     fn write_set(&self, f: &mut fmt::Formatter<'_>, set: &[String], probability: Option<f64>) -> fmt::Result {
@@ -111,39 +132,9 @@ impl fmt::Display for PersonHabits {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let observations = count(self.observations.round() as usize, "observation");
         writeln!(f, "What was learned, from {observations}")?;
-        if !self.things.is_empty() {
-            writeln!(f, "  Next thing:")?;
-        }
-        for ThingReason { label, shares } in self.things.iter().take(SHOWN) {
-            let Shares { probability, model, habit, hour, observations } = shares;
-            writeln!(
-                f,
-                "    {label} {}: language model {}, {} {}, hour {}; {}",
-                percent(*probability),
-                percent(*model),
-                self::habit(observations),
-                percent(*habit),
-                percent(*hour),
-                from(observations, ""),
-            )?;
-        }
-        if !self.rooms.is_empty() {
-            writeln!(f, "  Its room:")?;
-        }
-        for RoomReason { room, shares } in self.rooms.iter().take(SHOWN) {
-            let RoomShares { probability, model, habit, things, hour, observations } = shares;
-            writeln!(
-                f,
-                "    {room} {}: language model {}, {} {}, the next thing {}, hour {}; {}",
-                percent(*probability),
-                percent(*model),
-                self::habit(observations),
-                percent(*habit),
-                percent(*things),
-                percent(*hour),
-                from(observations, " in this room"),
-            )?;
-        }
+        let things = self.things.iter().map(|ThingReason { label, shares }| (label, shares));
+        write_shares(f, "  Next thing:", things)?;
+        write_shares(f, "  Its room:", self.rooms.iter().map(|RoomReason { room, shares }| (room, shares)))?;
         for line in &self.forecast {
             write!(
                 f,
@@ -165,8 +156,8 @@ mod tests {
 
     #[test]
     fn a_text_says_where_a_probability_comes_from_and_from_how_much() {
-        let shares =
-            Shares { probability: 0.5, model: 0.25, habit: 0.5, hour: 0.25, observations: [40.0, 12.0, 3.0, 0.0] };
+        let observations = [40.0, 12.0, 3.0, 0.0];
+        let shares = Shares { probability: 0.5, model: 0.25, habit: 0.5, things: None, hour: 0.25, observations };
         let line = HorizonLine {
             horizon_s: 900.0,
             shipped: 0.25,

@@ -410,30 +410,7 @@ pub fn run(
 ) -> Result<Outcome, IpcError> {
     let node = join(domain, &format!("roomcast-narrator-{}", config.name))?;
     let mut sender = Narrator::new(&node, config, limits)?;
-    let (items_in, items) = bounded(1);
-    let mut input = input;
-    if let Input::Lines { settled, .. } = &mut input {
-        sender.settled = settled.take();
-    }
-    if let Input::Log { faults, .. } = &input {
-        sender.account.outcome.refused += faults.count();
-        faults.told().iter().for_each(|error| tracing::warn!(%error, "skipped"));
-        let further = faults.count() - faults.told().len() as u64;
-        if further > 0 {
-            tracing::warn!(further, "skipped further lines");
-        }
-    }
-    // A read may block for ever. The thread ends with its stream, or with the process.
-    let reader = move || match input {
-        Input::Items(items) | Input::Log { items, .. } => {
-            items.into_iter().try_for_each(|item| items_in.send((None, Ok(item)))).is_ok()
-        }
-        Input::Lines { name, stream, person, .. } => read_lines(&name, stream, &person, &items_in),
-    };
-    let reader = std::thread::Builder::new().name("reader".to_owned()).spawn(reader);
-    if let Err(error) = reader {
-        return Err(IpcError::Port { service: NarrationV1::SERVICE.name, operation: "read", cause: Box::new(error) });
-    }
+    let items = begin_reading(input, &mut sender)?;
     notify(&[NotifyState::Ready]);
     let mut log = Limiter::with_burst(REFUSAL_NS, REFUSALS_AT_ONCE);
     let mut log_odd = Limiter::new(ODD_NAME_NS);
@@ -500,6 +477,33 @@ pub fn run(
     }
     notify(&[NotifyState::Stopping]);
     Ok(sender.account.outcome)
+}
+
+/// Starts a thread that reads the input.
+fn begin_reading(mut input: Input, sender: &mut Narrator) -> Result<Receiver<Told>, IpcError> {
+    let (items_in, items) = bounded(1);
+    if let Input::Lines { settled, .. } = &mut input {
+        sender.settled = settled.take();
+    }
+    if let Input::Log { faults, .. } = &input {
+        sender.account.outcome.refused += faults.count();
+        faults.told().iter().for_each(|error| tracing::warn!(%error, "skipped"));
+        let further = faults.count() - faults.told().len() as u64;
+        if further > 0 {
+            tracing::warn!(further, "skipped further lines");
+        }
+    }
+    // A read may block for ever. The thread ends with its stream, or with the process.
+    let reader = move || match input {
+        Input::Items(items) | Input::Log { items, .. } => {
+            items.into_iter().try_for_each(|item| items_in.send((None, Ok(item)))).is_ok()
+        }
+        Input::Lines { name, stream, person, .. } => read_lines(&name, stream, &person, &items_in),
+    };
+    let failed =
+        |error| IpcError::Port { service: NarrationV1::SERVICE.name, operation: "read", cause: Box::new(error) };
+    std::thread::Builder::new().name("reader".to_owned()).spawn(reader).map_err(failed)?;
+    Ok(items)
 }
 
 /// The next item; `None` at the end. It keeps the ports alive while it waits.

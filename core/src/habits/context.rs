@@ -1,6 +1,6 @@
 //! The facts of a forecast, as keys of counts: the place, the last things, time spent and the part of the day.
 
-use super::parts::{NONE, Part, digest};
+use super::parts::{NONE, Part, SLOT_MASK, TIMES_MAX, digest, key};
 
 /// Hours of one part of the day, from midnight on, in local time.
 pub const PART_HOURS: u16 = 3;
@@ -32,8 +32,13 @@ impl Context {
         Self { here, last: [NONE; LAST], times: 0, spent, pace: 0, horizon: 0, at_s }
     }
 
+    pub(crate) fn key(&self, part: Part, slot: u8) -> u64 {
+        let (times, after) = self.numbers(part);
+        key(part, slot & SLOT_MASK | times.min(TIMES_MAX) << 6, after)
+    }
+
     /// The numbers of a part's key: the repeated mentions if they matter there, and three more.
-    pub(crate) fn numbers(&self, part: Part) -> (u8, [u16; 3]) {
+    fn numbers(&self, part: Part) -> (u8, [u16; 3]) {
         let Self { here, last, times, spent, pace, horizon, at_s } = *self;
         let after = |things: usize| match things {
             0..=3 => std::array::from_fn(|at| if at < things { last[at] } else { NONE }),

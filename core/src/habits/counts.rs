@@ -1,9 +1,8 @@
 //! Counts of symbols by context, bounded, with a half-life.
 //!
-//! A context is an exact 64-bit key. It has one of the rows of the set that its hash names; the row holds the decayed number of observations and a chain
-//! of blocks, each of up to four symbols with their counts. Decay is lazy: a row is updated when it is written, and read through a factor otherwise. The
-//! table doubles when a set is full. At the limit the set's least useful row (fewest decayed observations) is evicted. Free blocks are in a list, so
-//! that nothing is allocated once table and blocks have grown to their limits.
+//! A context is an exact 64-bit key. It has one of the rows of the set that its hash names; the row holds a chain of blocks, each of up to four symbols
+//! with their counts. Decay is lazy: a row is updated when it is written, and read through a factor otherwise. The table doubles when a set is full. At
+//! the limit the set's row with the fewest decayed observations is evicted. Nothing is allocated once table and blocks have grown to their limits.
 
 const END: u32 = u32::MAX;
 /// The key of a free row, which no context has.
@@ -43,17 +42,12 @@ impl Block {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Limits {
-    pub(crate) rows: usize,
-    pub(crate) blocks: usize,
-    /// Half-life in minutes; no decay unless positive.
-    pub(crate) half_life_min: f64,
-}
-
 #[derive(Debug, Clone)]
 pub(crate) struct Counts {
-    limits: Limits,
+    rows_max: usize,
+    blocks_max: usize,
+    /// No decay unless positive.
+    half_life_min: f64,
     /// Rows of a set. The number of sets is a power of two.
     ways: usize,
     keys: Vec<u64>,
@@ -85,12 +79,14 @@ impl Seen<'_> {
 }
 
 impl Counts {
-    pub(crate) fn new(limits: Limits) -> Self {
-        let [rows, blocks] = [limits.rows, limits.blocks].map(|limit| limit.clamp(1, 1 << 24));
-        let sets_max = 1 << (rows / WAYS).max(1).ilog2();
-        let ways = rows / sets_max;
+    pub(crate) fn new(rows_max: usize, blocks_max: usize, half_life_min: f64) -> Self {
+        let [rows_max, blocks_max] = [rows_max, blocks_max].map(|limit| limit.clamp(1, 1 << 24));
+        let sets_max = 1 << (rows_max / WAYS).max(1).ilog2();
+        let ways = rows_max / sets_max;
         Self {
-            limits: Limits { rows: ways * sets_max, blocks, ..limits },
+            rows_max: ways * sets_max,
+            blocks_max,
+            half_life_min,
             ways,
             keys: vec![FREE; ways],
             rows: vec![EMPTY_ROW; ways],
@@ -110,12 +106,14 @@ impl Counts {
         self.keys.len() * (size_of::<u64>() + size_of::<Row>()) + self.blocks.capacity() * size_of::<Block>()
     }
 
+    /// The base-2 logarithm of the factor by which counts have decayed.
+    fn faded(&self, touched_min: u32, now_min: u32) -> f32 {
+        let age_min = f64::from(now_min.saturating_sub(touched_min));
+        if self.half_life_min > 0.0 { (-age_min / self.half_life_min) as f32 } else { 0.0 }
+    }
+
     fn factor(&self, touched_min: u32, now_min: u32) -> f32 {
-        let age_min = now_min.saturating_sub(touched_min);
-        if age_min == 0 || self.limits.half_life_min <= 0.0 {
-            return 1.0;
-        }
-        ((-f64::from(age_min) / self.limits.half_life_min) as f32).exp2()
+        self.faded(touched_min, now_min).exp2()
     }
 
     fn symbols(&self, first: u32) -> impl Iterator<Item = (u16, f32)> {
@@ -165,7 +163,7 @@ impl Counts {
             weight /= factor;
         } else {
             self.rows[row].touched_min = touched_min.max(now_min);
-            self.keep(row, |_, count| {
+            self.keep(row, |count| {
                 *count *= factor;
                 *count >= FORGOTTEN
             });
@@ -200,12 +198,12 @@ impl Counts {
     }
 
     /// Drops unwanted counts of a row, and empty blocks.
-    fn keep(&mut self, row: usize, mut wanted: impl FnMut(u16, &mut f32) -> bool) {
+    fn keep(&mut self, row: usize, mut wanted: impl FnMut(&mut f32) -> bool) {
         let (mut at, mut before) = (self.rows[row].first, END);
         while at != END {
             let block = &mut self.blocks[at as usize];
             for (symbol, count) in block.symbols.iter_mut().zip(&mut block.counts) {
-                if *symbol != NOTHING && !wanted(*symbol, count) {
+                if *symbol != NOTHING && !wanted(count) {
                     (*symbol, *count) = (NOTHING, 0.0);
                 }
             }
@@ -226,7 +224,7 @@ impl Counts {
 
     fn insert(&mut self, key: u64, now_min: u32) -> usize {
         let mut free = self.set(key).find(|row| self.keys[*row] == FREE);
-        while free.is_none() && self.keys.len() < self.limits.rows {
+        while free.is_none() && self.keys.len() < self.rows_max {
             self.spread();
             free = self.set(key).find(|row| self.keys[*row] == FREE);
         }
@@ -251,34 +249,23 @@ impl Counts {
     /// Evicts the least useful row of a set, except one. Returns the row if there was one.
     fn evict(&mut self, set: std::ops::Range<usize>, except: usize, now_min: u32) -> Option<usize> {
         let others = set.filter(|row| *row != except && self.keys[*row] != FREE);
-        let worth = |row: &usize| self.worth(&self.rows[*row], now_min);
-        let least = others.min_by(|a, b| worth(a).total_cmp(&worth(b)))?;
+        let worth = |row: &Row| row.total.max(f32::MIN_POSITIVE).log2() + self.faded(row.touched_min, now_min);
+        let least = others.min_by(|a, b| worth(&self.rows[*a]).total_cmp(&worth(&self.rows[*b])))?;
         self.remove(least);
         Some(least)
-    }
-
-    /// Usefulness of a row: the base-2 logarithm of its decayed observations, up to a constant. The mantissa stands for its logarithm, with an error
-    /// of at most a tenth: a power of two for each row would dominate the cost.
-    fn worth(&self, row: &Row, now_min: u32) -> f32 {
-        const ONE: f32 = (1_u32 << (f32::MANTISSA_DIGITS - 1)) as f32;
-        let faded = match self.limits.half_life_min > 0.0 {
-            true => f64::from(now_min.saturating_sub(row.touched_min)) / self.limits.half_life_min,
-            false => 0.0,
-        };
-        row.total.max(0.0).to_bits() as f32 / ONE - faded as f32
     }
 
     /// Adds a block in front of a row. At the limit other rows give way, set by set, and at last a block of the row itself.
     fn new_block(&mut self, row: usize) -> u32 {
         let sets = self.keys.len() / self.ways;
         let (mut empty, now_min) = (0, self.rows[row].touched_min);
-        while self.free_block == END && self.blocks.len() >= self.limits.blocks && empty < sets {
+        while self.free_block == END && self.blocks.len() >= self.blocks_max && empty < sets {
             self.hand = (self.hand + 1) % sets;
             let set = self.ways * self.hand..self.ways * (self.hand + 1);
             empty = if self.evict(set, row, now_min).is_some() { 0 } else { empty + 1 };
         }
         let mut at = self.free_block;
-        if at == END && self.blocks.len() < self.limits.blocks {
+        if at == END && self.blocks.len() < self.blocks_max {
             at = self.blocks.len() as u32;
             self.blocks.push(EMPTY);
         } else if at == END {
@@ -296,7 +283,7 @@ impl Counts {
     }
 
     fn remove(&mut self, row: usize) {
-        self.keep(row, |_, _| false);
+        self.keep(row, |_| false);
         (self.keys[row], self.rows[row]) = (FREE, EMPTY_ROW);
     }
 
@@ -304,13 +291,11 @@ impl Counts {
         self.rows.iter_mut().map(|row| &mut row.touched_min)
     }
 
-    /// Drops contexts, and symbols of the others.
-    pub(crate) fn retain(&mut self, wanted: impl Fn(u64) -> bool, symbol_wanted: impl Fn(u64, u16) -> bool) {
+    /// Drops contexts.
+    pub(crate) fn retain(&mut self, wanted: impl Fn(u64) -> bool) {
         for row in 0..self.keys.len() {
-            match self.keys[row] {
-                FREE => {}
-                key if wanted(key) => self.keep(row, |symbol, _| symbol_wanted(key, symbol)),
-                _ => self.remove(row),
+            if self.keys[row] != FREE && !wanted(self.keys[row]) {
+                self.remove(row);
             }
         }
     }
@@ -336,7 +321,7 @@ mod tests {
     const DAY_MIN: u32 = 1440;
 
     fn counts(rows: usize, blocks: usize, half_life_min: f64) -> Counts {
-        Counts::new(Limits { rows, blocks, half_life_min })
+        Counts::new(rows, blocks, half_life_min)
     }
 
     #[test]
@@ -459,8 +444,8 @@ mod tests {
                 let row = counts.rows[counts.find(key).unwrap()];
                 prop_assert!((row.total - total).abs() < 1e-3 && row.touched_min == touched_min);
             }
-            counts.retain(|key| key % 2 == 0, |_, symbol| symbol < 10);
-            prop_assert!(counts.rows().iter().all(|(key, _, s)| key % 2 == 0 && s.iter().all(|(s, _)| *s < 10)));
+            counts.retain(|key| key % 2 == 0);
+            prop_assert!(counts.rows().iter().all(|(key, ..)| key % 2 == 0));
         }
     }
 }

@@ -1,8 +1,7 @@
 //! Habits of one home, learned while the persons are observed. The language model is the prior.
 //!
-//! The first day's forecasts are the language model's. Later forecasts also use the learned counts (`mixture.rs`): the loss of the mixture exceeds
-//! its best expert's loss by a bound at most, if outcomes are known at once. The model is one of the experts. Counts are kept by name, so that they
-//! survive changes of the map. Memory is bounded, and counts fade with a half-life.
+//! The first day's forecasts are the language model's. Later forecasts also use the learned counts. The loss of the mixture exceeds its best expert's
+//! loss by a bound at most (`mixture.rs`), and the model is one of the experts. Counts are kept by name, so that they survive changes of the map.
 //!
 //! Calls of a daemon, per person:
 //!
@@ -34,19 +33,18 @@ mod sets;
 mod stays;
 mod stored;
 mod view;
-mod visits;
 
 use context::{Context, LAST, minute, time_class};
-use counts::{Counts, Limits};
-use names::{ELSEWHERE_NAME, Home, Names, Numbered};
+use counts::Counts;
+use names::{ELSEWHERE_NAME, Home, Names};
 use next::Next;
-use parts::{NONE, Number, Part, SLOT_MASK, split};
+use parts::{NONE, Part, SLOT_MASK, key, split};
 use stays::Stays;
 use view::{OTHERS_MAX, View};
 
 pub use context::{PART_HOURS, PARTS};
 pub use parts::Without;
-pub use sets::{AdaptiveSets, Issued, SetOptions};
+pub use sets::{AdaptiveSets, SetOptions};
 pub use stored::{BYTES_MAX, Stored, StoredError, StoredName, StoredPerson, StoredRow};
 
 /// Most persons with habits. A further person replaces the person with the fewest observations.
@@ -108,35 +106,21 @@ pub enum Place {
     Elsewhere,
 }
 
-/// The parts of the probability that a thing comes next; the shares sum to one.
+/// The parts of the probability that a thing comes next, or that it is in a room; the shares sum to one.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Shares {
     /// The probability.
     pub probability: f64,
     /// Share of the language model, alone and as the prior of habit.
     pub model: f64,
-    /// Share of the things that followed the last things in this home.
+    /// Share of the things or rooms that followed the last things in this home; for a room, also of this room and this time spent.
     pub habit: f64,
+    /// Share of the expected next thing and its known rooms; of a room only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub things: Option<f64>,
     /// Share of the part of the day.
     pub hour: f64,
-    /// Decayed observations of this person: all, after the last thing, the last two and the last three.
-    pub observations: [f64; 4],
-}
-
-/// The parts of the probability that the next thing is in a room; the shares sum to one.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct RoomShares {
-    /// The probability.
-    pub probability: f64,
-    /// Share of the language model, alone and as the prior of habit.
-    pub model: f64,
-    /// Share of the rooms that followed this room, the last things and this time spent.
-    pub habit: f64,
-    /// Share of the expected next thing and its known rooms.
-    pub things: f64,
-    /// Share of the part of the day.
-    pub hour: f64,
-    /// Decayed observations of this person: in this room, after the last thing, the last two and the last three.
+    /// Decayed observations of this person: all (of a room: in this room), after the last thing, the last two and the last three.
     pub observations: [f64; 4],
 }
 
@@ -200,8 +184,8 @@ impl Person {
             times: 0,
             repeated: [1.0, 2.0],
             known: None,
-            things: Next::of_things(options.without),
-            rooms: Next::of_rooms(options.without),
+            things: Next::new([&next::AGAIN, &next::THINGS], next::FIRST[0], options.without),
+            rooms: Next::new([&next::ROOMS, &next::ROOMS], next::FIRST[1], options.without),
             stays: Stays::new(options.sets, options.without),
         }
     }
@@ -228,14 +212,6 @@ impl Person {
         self.last.rotate_right(1);
         self.last[0] = number;
     }
-
-    fn forget_number(&mut self, number: u16, what: Number) {
-        match what {
-            Number::Object => self.last.iter_mut().filter(|last| **last == number).for_each(|last| *last = NONE),
-            Number::Place | Number::Plain => self.stays.forget_number(number),
-        }
-        self.known = None;
-    }
 }
 
 /// Habits of one home.
@@ -245,7 +221,6 @@ pub struct Habits {
     home: Home,
     counts: Counts,
     persons: Vec<Person>,
-    is_converted: bool,
 }
 
 impl Habits {
@@ -255,13 +230,12 @@ impl Habits {
         let half_life_min = options.half_life_days * 1_440.0;
         let mut places = Names::new(1_024);
         // Elsewhere has the first number.
-        places.add(ELSEWHERE_NAME.to_owned(), 0);
+        places.add(ELSEWHERE_NAME.to_owned());
         places.bind(vec![ELSEWHERE_NAME.to_owned()]);
         Self {
             home: Home { things: Names::new(options.names_max), places, shares: Vec::new() },
-            counts: Counts::new(Limits { rows: options.contexts_max, blocks: options.blocks_max, half_life_min }),
+            counts: Counts::new(options.contexts_max, options.blocks_max, half_life_min),
             persons: Vec::new(),
-            is_converted: false,
             options,
         }
     }
@@ -341,7 +315,7 @@ impl Habits {
         // The other persons with the most observations.
         let mut others = [None; OTHERS_MAX];
         let mut least = [0.0; OTHERS_MAX];
-        for (_, other) in self.persons.iter().enumerate().filter(|(index, _)| *index != at) {
+        for other in self.persons.iter().filter(|other| other.number != number) {
             if let Some(rank) = (0..OTHERS_MAX).find(|rank| other.known_of() > least[*rank]) {
                 others[rank..].rotate_right(1);
                 least[rank..].rotate_right(1);
@@ -353,44 +327,21 @@ impl Habits {
         (View { counts, home, slot: person.slot, others, now_min: minute(now_s), without: options.without }, person)
     }
 
-    /// The number of a label's thing or of a place. While learning, a new one gets a number; the counts of a reused number are forgotten.
-    fn number(&mut self, what: Number, index: usize, now_min: u32) -> Option<u16> {
-        let names = if what == Number::Object { &mut self.home.things } else { &mut self.home.places };
-        if !self.options.learn {
-            return names.number(index);
-        }
-        let number = match names.see(index, now_min) {
-            Numbered::As(number) => return Some(number),
-            Numbered::Reused(number) => number,
-            Numbered::Refused => return None,
-        };
-        self.persons.iter_mut().for_each(|person| person.forget_number(number, what));
-        // A digest does not say which things it stands for, so all digests go.
-        let is_free = |(part, layout, _, after): (Part, [Number; 4], u8, [u16; 3])| {
-            let is_digest = what == Number::Object && matches!(part, Part::ThingAfter4 | Part::ThingAfter5);
-            !is_digest && layout.into_iter().zip(after).all(|(is, other)| is != what || other != number)
-        };
-        self.counts.retain(
-            |key| split(key).is_some_and(is_free),
-            |key, symbol| split(key).is_some_and(|(_, layout, ..)| layout[3] != what || symbol != number),
-        );
-        Some(number)
-    }
-
-    fn number_of(&mut self, place: Place, now_min: u32) -> Option<u16> {
+    /// The number of a place. While learning, a new one gets a number.
+    fn number_of(&mut self, place: Place) -> Option<u16> {
+        let rooms = self.home.rooms();
         let index = match place {
-            Place::Elsewhere => self.home.rooms(),
-            Place::Room(room) if room < self.home.rooms() => room,
-            Place::Room(_) => return None,
+            Place::Elsewhere => rooms,
+            Place::Room(room) => Some(room).filter(|room| *room < rooms)?,
         };
-        self.number(Number::Place, index, now_min)
+        self.home.places.learn(index, self.options.learn)
     }
 
     /// Learns from a turn: the last forecasts are compared with it, it is counted, and it becomes the context of the next forecast.
     pub fn observe(&mut self, turn: &Turn) {
         let (now_min, at) = (minute(turn.at_s), self.person(turn.person));
-        let number = turn.label.and_then(|label| self.number(Number::Object, label, now_min));
-        let place = turn.room.and_then(|room| self.number_of(Place::Room(room), now_min));
+        let number = turn.label.and_then(|label| self.home.things.learn(label, self.options.learn));
+        let place = turn.room.and_then(|room| self.number_of(Place::Room(room)));
         let Self { persons, counts, options: HabitsOptions { learn, .. }, home, .. } = self;
         let person = &mut persons[at];
         let context = person.known.unwrap_or_else(|| person.context(turn.at_s));
@@ -402,7 +353,7 @@ impl Habits {
                     rooms.other.count(counts, *slot, &context, place, turn.at_s);
                 }
                 if let Some(thing) = number {
-                    next::count_room_of(counts, *slot, thing, place, turn.at_s);
+                    counts.add(key(Part::RoomOfThing, *slot, [thing, NONE, NONE]), place, 1.0, now_min);
                 }
             }
             if let Some((label, number)) = turn.label.zip(number) {
@@ -429,7 +380,7 @@ impl Habits {
 
     /// Puts a person in a place without a turn: a presence event or a sensor reported it.
     pub fn be(&mut self, person: PersonId, place: Place, at_s: f64) {
-        if let Some(number) = self.number_of(place, minute(at_s)) {
+        if let Some(number) = self.number_of(place) {
             self.moves(person, at_s, |stays, counts, slot, learn| stays.be(counts, slot, number, at_s, learn));
         }
     }
@@ -456,7 +407,7 @@ impl Habits {
     /// Whether the person came back and has no known room since.
     #[must_use]
     pub fn is_back(&self, person: PersonId) -> bool {
-        self.known_person(person).is_some_and(|person| person.stays.is_back())
+        self.known_person(person).is_some_and(|person| person.stays.is_back)
     }
 
     /// The last known place, if it is in the bound map.
@@ -482,25 +433,14 @@ impl Habits {
         }
     }
 
-    /// Changes the minutes in which names and contexts were last seen.
-    fn change_minutes(&mut self, change: impl Fn(u32) -> u32) {
-        let Home { things, places, .. } = &mut self.home;
-        let seen_min = things.seen_min().chain(places.seen_min()).chain(self.counts.touched_min());
-        seen_min.for_each(|minute| *minute = change(*minute));
-    }
-
-    /// Moves counts after a clock step of `by_s` seconds, so that their age stays the same.
-    pub fn shift_counts(&mut self, by_s: f64) {
-        let by_min = (by_s / 60.0) as i64;
-        self.change_minutes(|minute| {
-            u32::try_from(i64::from(minute).saturating_add(by_min).max(0)).unwrap_or(u32::MAX)
-        });
-    }
-
-    /// Dates counts from a clock that was ahead as of now. Otherwise they would not fade until then, and would outweigh new counts.
-    pub fn no_later_than(&mut self, now_s: f64) {
-        let now_min = minute(now_s);
-        self.change_minutes(|minute| minute.min(now_min));
+    /// Moves counts after a clock step of `by_s` seconds, so that their age stays the same. Counts from a clock that was ahead of `now_s` are dated
+    /// as of then. Otherwise they would not fade until then, and would outweigh new counts.
+    pub fn shift_counts(&mut self, by_s: f64, now_s: f64) {
+        let (by_min, now_min) = ((by_s / 60.0) as i64, minute(now_s));
+        for touched_min in self.counts.touched_min() {
+            let moved_min = i64::from(*touched_min).saturating_add(by_min).max(0);
+            *touched_min = u32::try_from(moved_min).unwrap_or(u32::MAX).min(now_min);
+        }
     }
 
     /// Per label of the map, the probability that the person turns to it next. `model` has the model's probabilities, which need not sum to one. The
@@ -524,19 +464,13 @@ impl Habits {
     /// The shares of a label's probability in the person's latest forecast.
     #[must_use]
     pub fn explain(&self, person: PersonId, label: usize) -> Option<Shares> {
-        let Person { things, .. } = self.known_person(person)?;
-        let [model, habit, _, hour] = things.explain(label)?;
-        let (probability, observations) = (things.mixed[label], things.other.observations);
-        Some(Shares { probability, model, habit, hour, observations })
+        Some(Shares { things: None, ..self.known_person(person)?.things.explain(label)? })
     }
 
     /// The shares of a room's probability in the person's latest forecast of the next room.
     #[must_use]
-    pub fn explain_room(&self, person: PersonId, room: usize) -> Option<RoomShares> {
-        let Person { rooms, .. } = self.known_person(person)?;
-        let [model, habit, things, hour] = rooms.explain(room)?;
-        let (probability, observations) = (rooms.mixed[room], rooms.other.observations);
-        Some(RoomShares { probability, model, habit, things, hour, observations })
+    pub fn explain_room(&self, person: PersonId, room: usize) -> Option<Shares> {
+        self.known_person(person)?.rooms.explain(room)
     }
 
     /// Counts time spent and learns from due forecasts. Once a minute it makes one more forecast to learn from later. `shipped` writes the forecast
@@ -544,9 +478,7 @@ impl Habits {
     pub fn tick(&mut self, person: PersonId, now_s: f64, shipped: &mut dyn FnMut(f64, &mut [f64])) {
         self.moves(person, now_s, |_, _, _, _| {});
         let (view, Person { stays, .. }) = self.view(person, now_s);
-        if stays.is_due(now_s) {
-            stays.sample(&view, now_s, shipped);
-        }
+        stays.sample(&view, now_s, shipped);
     }
 
     /// Writes per time ahead (ascending) and place (elsewhere last) the person's probability, row by row into `out`, and returns the weights of the
@@ -584,10 +516,20 @@ impl Habits {
         self.persons[at].stays.set(horizon_s, probabilities, another, set);
     }
 
-    /// Decayed observations of a person.
+    /// Per room of the bound map, decayed number of visits that ended in each part of the day, of all persons together.
     #[must_use]
-    pub fn observations(&self, person: PersonId) -> f64 {
-        self.known_person(person).map_or(0.0, |person| person.observations)
+    pub fn visits(&self, now_s: f64) -> Vec<[f64; PARTS]> {
+        let now_min = minute(now_s);
+        let ended = |place: u16, part: u16| -> f64 {
+            let of = |slot| self.counts.get(key(Part::ExitByHour, slot, [place, part, NONE]), now_min);
+            let seen = self.persons.iter().filter_map(|person| of(person.slot));
+            seen.map(|seen| seen.symbols().map(|(_, count)| count).sum::<f64>()).sum()
+        };
+        let room = |room| {
+            let place = self.home.places.number(room);
+            std::array::from_fn(|part| place.map_or(0.0, |place| ended(place, part as u16)))
+        };
+        (0..self.home.rooms()).map(room).collect()
     }
 
     /// Minutes for which the person's place was known, about.
@@ -609,7 +551,7 @@ impl Habits {
         Learned {
             observations: self.persons.iter().map(|person| person.observations).sum(),
             persons: self.persons.len(),
-            names: things.len(),
+            names: things.names().len(),
             contexts,
             counts,
             bytes: self.counts.bytes() + things.bytes() + places.bytes(),
@@ -620,26 +562,8 @@ impl Habits {
     pub fn forget(&mut self, person: PersonId) -> bool {
         let Some(at) = self.persons.iter().position(|other| other.number == person) else { return false };
         let slot = self.persons.remove(at).slot;
-        self.counts.retain(|key| split(key).is_some_and(|(_, _, other, _)| other & SLOT_MASK != slot), |_, _| true);
-        self.date_names();
+        self.counts.retain(|key| split(key).1 & SLOT_MASK != slot);
         true
-    }
-
-    /// Dates names by the remaining counts, so that no date of a forgotten person's turn stays.
-    fn date_names(&mut self) {
-        let Home { things, places, .. } = &mut self.home;
-        things.seen_min().chain(places.seen_min()).for_each(|seen_min| *seen_min = 0);
-        for (key, touched_min, counts) in self.counts.rows() {
-            let Some((_, layout, _, after)) = split(key) else { continue };
-            let of_counts = counts.iter().map(|(symbol, _)| (*symbol, layout[3]));
-            for (number, what) in after.into_iter().zip(layout).chain(of_counts) {
-                match what {
-                    Number::Object => things.date(number, touched_min),
-                    Number::Place => places.date(number, touched_min),
-                    Number::Plain => {}
-                }
-            }
-        }
     }
 }
 

@@ -8,33 +8,16 @@ const NAME_BYTES_MAX: usize = 256;
 pub(crate) const ELSEWHERE_NAME: &str = "(elsewhere)";
 pub(crate) const ELSEWHERE: u16 = 0;
 
-#[derive(Debug, Clone)]
-struct Name {
-    name: String,
-    /// Last minute in which it was seen.
-    seen_min: u32,
-    /// Its index in the bound map.
-    index: Option<usize>,
-}
-
-/// Numbers of names, 0 to `limit - 1`, and the names of the bound map.
+/// Numbers of names, 0 to `limit - 1`, and the names of the bound map. Further names get no number.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Names {
-    names: Vec<Name>,
+    names: Vec<String>,
+    /// By number, the index in the bound map.
+    indices: Vec<Option<usize>>,
     numbers: HashMap<String, u16>,
     limit: usize,
     bound: Vec<String>,
     number_of: Vec<Option<u16>>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Numbered {
-    /// The name has this number.
-    As(u16),
-    /// The name has this number from now on. The caller must forget the counts of the number.
-    Reused(u16),
-    /// The name is empty or too long.
-    Refused,
 }
 
 impl Names {
@@ -44,12 +27,10 @@ impl Names {
 
     /// Binds the names of a map, each once. Existing numbers stay.
     pub(crate) fn bind(&mut self, bound: Vec<String>) {
-        self.names.iter_mut().for_each(|name| name.index = None);
+        self.indices.fill(None);
         self.number_of = bound.iter().map(|name| self.numbers.get(name).copied()).collect();
         for (index, number) in self.number_of.iter().enumerate() {
-            if let Some(number) = number {
-                self.names[usize::from(*number)].index = Some(index);
-            }
+            number.iter().for_each(|number| self.indices[usize::from(*number)] = Some(index));
         }
         self.bound = bound;
     }
@@ -60,7 +41,7 @@ impl Names {
 
     /// The map's index of the name with this number.
     pub(crate) fn index(&self, number: u16) -> Option<usize> {
-        self.names.get(usize::from(number))?.index
+        self.indices.get(usize::from(number)).copied().flatten()
     }
 
     /// The number of a name of the map, if it has one.
@@ -68,67 +49,32 @@ impl Names {
         self.number_of.get(index).copied().flatten()
     }
 
-    /// Marks a name of the map as seen. A name without a number gets one. At the limit that is the number of the name that was not seen for longest.
-    pub(crate) fn see(&mut self, index: usize, now_min: u32) -> Numbered {
-        if let Some(number) = self.number(index) {
-            let seen_min = &mut self.names[usize::from(number)].seen_min;
-            *seen_min = now_min.max(*seen_min);
-            return Numbered::As(number);
+    /// The same. While learning, a name without a number gets one.
+    pub(crate) fn learn(&mut self, index: usize, learns: bool) -> Option<u16> {
+        if learns && self.number(index).is_none() {
+            let number = self.add(self.bound.get(index)?.clone())?;
+            (self.indices[usize::from(number)], self.number_of[index]) = (Some(index), Some(number));
         }
-        let Some(name) = self.bound.get(index).cloned() else { return Numbered::Refused };
-        let numbered = self.add(name, now_min);
-        if let Numbered::As(number) | Numbered::Reused(number) = numbered {
-            let name = &mut self.names[usize::from(number)];
-            if let Some(before) = name.index.replace(index) {
-                self.number_of[before] = None;
-            }
-            self.number_of[index] = Some(number);
-        }
-        numbered
+        self.number(index)
     }
 
-    pub(crate) fn add(&mut self, name: String, seen_min: u32) -> Numbered {
-        if name.is_empty() || name.len() > NAME_BYTES_MAX || self.numbers.contains_key(&name) {
-            return Numbered::Refused;
-        }
-        let own = Name { name: name.clone(), seen_min, index: None };
-        if self.names.len() < self.limit {
-            let number = self.names.len() as u16;
-            self.names.push(own);
-            self.numbers.insert(name, number);
-            return Numbered::As(number);
-        }
-        let may_go = self.names.iter().enumerate().filter(|(_, name)| name.name != ELSEWHERE_NAME);
-        let Some((oldest, _)) = may_go.min_by_key(|(_, name)| name.seen_min) else { return Numbered::Refused };
-        let index = self.names[oldest].index;
-        let before = std::mem::replace(&mut self.names[oldest], Name { index, ..own });
-        self.numbers.remove(&before.name);
-        self.numbers.insert(name, oldest as u16);
-        Numbered::Reused(oldest as u16)
+    /// The number of a new name; `None` at the limit, and for an empty, long or known name.
+    pub(crate) fn add(&mut self, name: String) -> Option<u16> {
+        let is_name = !name.is_empty() && name.len() <= NAME_BYTES_MAX && !self.numbers.contains_key(&name);
+        let number = u16::try_from(self.names.len()).ok().filter(|_| is_name && self.names.len() < self.limit)?;
+        self.names.push(name.clone());
+        self.indices.push(None);
+        self.numbers.insert(name, number);
+        Some(number)
     }
 
-    pub(crate) fn len(&self) -> usize {
-        self.names.len()
-    }
-
-    /// Every name and its last minute, by number.
-    pub(crate) fn iter(&self) -> impl Iterator<Item = (&str, u32)> {
-        self.names.iter().map(|name| (name.name.as_str(), name.seen_min))
-    }
-
-    pub(crate) fn seen_min(&mut self) -> impl Iterator<Item = &mut u32> {
-        self.names.iter_mut().map(|name| &mut name.seen_min)
-    }
-
-    /// Raises the last minute of a name.
-    pub(crate) fn date(&mut self, number: u16, minute: u32) {
-        if let Some(name) = self.names.get_mut(usize::from(number)) {
-            name.seen_min = minute.max(name.seen_min);
-        }
+    /// The names by number.
+    pub(crate) fn names(&self) -> &[String] {
+        &self.names
     }
 
     pub(crate) fn bytes(&self) -> usize {
-        self.names.iter().map(|name| 2 * name.name.len() + 64).sum()
+        self.names.iter().map(|name| 2 * name.len() + 64).sum()
     }
 }
 
@@ -168,13 +114,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn at_the_limit_the_name_seen_longest_ago_gives_way() {
+    fn at_the_limit_a_further_name_gets_no_number() {
         let mut names = Names::new(2);
-        names.bind(["mug", "sofa", "bed", ""].map(str::to_owned).to_vec());
-        assert_eq!([names.see(0, 1), names.see(1, 2), names.see(0, 3)], [0, 1, 0].map(Numbered::As));
-        assert_eq!((names.see(2, 4), names.see(3, 5)), (Numbered::Reused(1), Numbered::Refused));
-        assert_eq!((names.number(1), names.index(1), names.len()), (None, Some(2), 2));
-        assert_eq!(names.iter().collect::<Vec<_>>(), [("mug", 3), ("bed", 4)]);
+        names.bind(["", "mug", "sofa", "bed"].map(str::to_owned).to_vec());
+        assert_eq!([0, 1, 2, 1, 3].map(|index| names.learn(index, true)), [None, Some(0), Some(1), Some(0), None]);
+        assert_eq!((names.number(3), names.index(1), names.names().len()), (None, Some(2), 2));
+        names.bind(["bed", "sofa"].map(str::to_owned).to_vec());
+        assert_eq!((names.index(0), names.index(1), names.number(1)), (None, Some(1), Some(1)));
     }
 
     /// A map may have 100 000 labels, more than 16 bits can number.
@@ -183,7 +129,7 @@ mod tests {
         let mut names = Names::new(8);
         names.bind((0..70_000).map(|label| format!("thing {label}")).collect());
         for (number, label) in [65_534, 65_535, 65_536, 65_541, 69_999].into_iter().enumerate() {
-            assert_eq!(names.see(label, 1), Numbered::As(number as u16));
+            assert_eq!(names.learn(label, true), Some(number as u16));
             assert_eq!((names.index(number as u16), names.number(label)), (Some(label), Some(number as u16)));
         }
         assert_eq!(names.number(0), None);

@@ -3,9 +3,10 @@
 //! Both questions have their own mixture, because an expert can be better at one of them. A thing that is mentioned again and again is one thing of
 //! the context, and so are sentences about nothing that the map has. An outcome is counted in the context that was known at the forecast.
 
-use super::context::{Context, minute};
+use super::Shares;
+use super::context::Context;
 use super::counts::Counts;
-use super::parts::{Part, Without, key};
+use super::parts::{Part, Without};
 use super::pool::Begin::{After, Given};
 use super::pool::Source::{Habit, Hour, Model, Things};
 use super::pool::{Plan, Pool, expert};
@@ -118,16 +119,9 @@ pub(crate) struct Next {
 }
 
 impl Next {
-    pub(crate) fn of_things(without: Without) -> Self {
-        Self::new([(&AGAIN, FIRST[0][0]), (&THINGS, FIRST[0][1])], without)
-    }
-
-    pub(crate) fn of_rooms(without: Without) -> Self {
-        Self::new([(&ROOMS, FIRST[1][0]), (&ROOMS, FIRST[1][1])], without)
-    }
-
-    fn new(plans: [(&'static Plan, f64); 2], without: Without) -> Self {
-        let [same, other] = plans.map(|(plan, first)| Pool::new(plan, first, without));
+    /// `plans` are of the same thing or room again, and of another one.
+    pub(crate) fn new(plans: [&'static Plan; 2], [same, other]: [f64; 2], without: Without) -> Self {
+        let (same, other) = (Pool::new(plans[0], same, without), Pool::new(plans[1], other, without));
         Self { same, other, here: None, mixed: Vec::new() }
     }
 
@@ -200,15 +194,14 @@ impl Next {
     }
 
     /// The shares of the sources in an outcome's probability in the latest forecast.
-    pub(crate) fn explain(&self, outcome: usize) -> Option<[f64; 4]> {
-        if *self.mixed.get(outcome)? <= 0.0 {
-            return None;
-        }
-        match self.here == Some(outcome) {
-            false => Some(self.other.explain(outcome)),
-            true if self.same.width() == 0 => Some([1.0, 0.0, 0.0, 0.0]),
-            true => Some(self.same.explain(0)),
-        }
+    pub(crate) fn explain(&self, outcome: usize) -> Option<Shares> {
+        let probability = self.mixed.get(outcome).copied().filter(|p| *p > 0.0)?;
+        let [model, habit, things, hour] = match self.here == Some(outcome) {
+            false => self.other.explain(outcome),
+            true if self.same.width() == 0 => [1.0, 0.0, 0.0, 0.0],
+            true => self.same.explain(0),
+        };
+        Some(Shares { probability, model, habit, things: Some(things), hour, observations: self.other.observations })
     }
 
     /// Learns from an outcome. Returns whether it was the same as the last one, if that was asked.
@@ -262,9 +255,4 @@ fn rooms_of(
     }
     rooms.iter_mut().for_each(|p| *p += FLOORS[1]);
     normalise(rooms);
-}
-
-/// Counts the room of a thing.
-pub(crate) fn count_room_of(counts: &mut Counts, slot: u8, thing: u16, room: u16, at_s: f64) {
-    counts.add(key(Part::RoomOfThing, slot, [thing, super::NONE, super::NONE]), room, 1.0, minute(at_s));
 }

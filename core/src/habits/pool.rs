@@ -14,7 +14,7 @@
 use super::context::{Context, minute};
 use super::counts::Counts;
 use super::mixture::FixedShare;
-use super::parts::{MOST, Part, Without, key, with_times};
+use super::parts::{MOST, Part, Without};
 use super::view::{Level, View};
 
 /// Information of the first powers, and the least information later.
@@ -271,8 +271,7 @@ impl Pool {
     /// Counts an outcome in every context.
     pub(crate) fn count(&self, counts: &mut Counts, slot: u8, context: &Context, symbol: u16, at_s: f64) {
         for level in self.plan.experts.iter().flat_map(|expert| expert.levels) {
-            let (times, after) = context.numbers(level.part);
-            counts.add(key(level.part, with_times(slot, times), after), symbol, 1.0, minute(at_s));
+            counts.add(context.key(level.part, slot), symbol, 1.0, minute(at_s));
         }
     }
 

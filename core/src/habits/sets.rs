@@ -2,16 +2,13 @@
 //!
 //! Adaptive conformal inference (Gibbs and Candes): a set takes the places with at least a threshold probability, a quantile of the probabilities
 //! of true places. The quantile moves by a step after every hit and miss, so that the share of misses converges to the target even while the home
-//! changes. Outcomes are learned a horizon later. Of all sets with the same coverage these have the fewest places on average.
+//! changes. Of all sets with the same coverage these have the fewest places on average.
 //!
-//! Outcomes come every minute, and many are alike: a night is one long hit. So the quantile covers about a week, and the step is small. With a memory
-//! of hours sets would be small at night, when forecasts are easy, and would hold whole homes by day in compensation.
+//! A night is one long hit. So the quantile covers about a week, and the step is small. With a memory of hours sets would be small at night and would
+//! hold whole homes by day in compensation.
 //!
-//! The threshold applies to forecasts like the ones that taught it. For another kind of forecast, and before anything was learned, a set takes
-//! the likeliest places until their sum is the coverage: as often right as the forecast itself ([`AdaptiveSets::cover`]).
-//!
-//! If no place is likely, a set by the threshold may be empty; this belongs to the promised coverage. With [`SetOptions::never_empty`] sets are right
-//! more often than promised.
+//! For a forecast of another kind, and before anything was learned, a set takes the likeliest places until their sum is the coverage
+//! ([`AdaptiveSets::cover`]). A set by the threshold may be empty; this belongs to the promised coverage.
 
 /// Options of sets.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,20 +27,6 @@ impl Default for SetOptions {
     }
 }
 
-/// The threshold of one set.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Issued {
-    threshold: f64,
-}
-
-impl Issued {
-    /// Whether the set holds `place`, without regard to [`SetOptions::never_empty`].
-    #[must_use]
-    pub fn holds(&self, probabilities: &[f64], place: usize) -> bool {
-        probabilities.get(place).is_some_and(|p| *p >= self.threshold)
-    }
-}
-
 /// How far the share of misses may go below 0 and above 1.
 const SERIES: f64 = 0.5;
 /// Classes of probabilities of true places, of equal width in [`odds`].
@@ -57,8 +40,6 @@ const FEW: f64 = 20.0;
 const AT_FIRST: f64 = 0.1;
 /// Rounding error of a sum of probabilities.
 const ROUNDING: f64 = 1e-9;
-/// Weights are rescaled to one before they exceed this.
-const WEIGHT_MAX: f64 = 1e6;
 
 /// The logarithm of the odds of a probability, in nats.
 fn odds(p: f64) -> f64 {
@@ -78,9 +59,8 @@ pub struct AdaptiveSets {
     options: SetOptions,
     /// Share of misses of the quantile.
     miss: f64,
-    /// Per class, the least likely first, weighted number of true places; the next one counts `weight`.
+    /// Per class, the least likely first, decayed number of true places, and their sum.
     seen: Vec<f64>,
-    weight: f64,
     total: f64,
     threshold: f64,
 }
@@ -94,7 +74,6 @@ impl AdaptiveSets {
             options: SetOptions { coverage, ..options },
             miss: 1.0 - coverage,
             seen: vec![0.0; CLASSES],
-            weight: 1.0,
             total: 0.0,
             threshold: 0.0,
         };
@@ -107,12 +86,11 @@ impl AdaptiveSets {
         if self.miss >= 1.0 {
             return f64::INFINITY;
         }
-        let total = self.total / self.weight;
-        if self.miss > 0.0 && total < FEW {
+        if self.miss > 0.0 && self.knows_little() {
             return AT_FIRST;
         }
         // Misses that the quantile allows, with the next outcome included.
-        let mut misses = self.miss * (total + 1.0) * self.weight - self.weight;
+        let mut misses = self.miss * (self.total + 1.0) - 1.0;
         if misses < 0.0 {
             return 0.0;
         }
@@ -127,28 +105,26 @@ impl AdaptiveSets {
         1.0 - NEAREST
     }
 
-    /// The threshold of a set that is made now.
+    /// The least probability of a place in a set that is made now.
     #[must_use]
-    pub fn issue(&self) -> Issued {
-        Issued { threshold: self.threshold }
+    pub fn threshold(&self) -> f64 {
+        self.threshold
     }
 
-    /// Writes the places of the set.
-    pub fn set(&self, probabilities: &[f64], issued: Issued, set: &mut Vec<bool>) {
+    /// Writes the places of the set with this threshold.
+    pub fn set(&self, probabilities: &[f64], threshold: f64, set: &mut Vec<bool>) {
         set.clear();
-        set.extend((0..probabilities.len()).map(|place| issued.holds(probabilities, place)));
-        if self.options.never_empty {
-            let likeliest = (0..probabilities.len()).max_by(|a, b| probabilities[*a].total_cmp(&probabilities[*b]));
-            if let Some(likeliest) = likeliest {
-                set[likeliest] = true;
-            }
+        set.extend(probabilities.iter().map(|p| *p >= threshold));
+        let likeliest = (0..probabilities.len()).max_by(|a, b| probabilities[*a].total_cmp(&probabilities[*b]));
+        if let Some(likeliest) = likeliest.filter(|_| self.options.never_empty) {
+            set[likeliest] = true;
         }
     }
 
     /// Whether there were too few outcomes for a learned threshold.
     #[must_use]
     pub fn knows_little(&self) -> bool {
-        self.total / self.weight < FEW
+        self.total < FEW
     }
 
     /// Writes the fewest places with the coverage in sum.
@@ -164,42 +140,29 @@ impl AdaptiveSets {
         }
     }
 
-    /// Learns the person's place after the horizon. `probabilities` and `issued` are those of the forecast.
-    pub fn learn(&mut self, probabilities: &[f64], issued: Issued, truth: usize) {
-        if truth >= probabilities.len() {
-            return;
-        }
-        let hit = issued.holds(probabilities, truth);
-        self.see(probabilities[truth]);
+    /// Learns the forecast's probability of the person's place after the horizon; `threshold` is the one of the set.
+    pub fn learn(&mut self, p: f64, threshold: f64) {
+        // Counts it.
+        let kept = (-1.0 / HALF_LIFE).exp2();
+        self.seen.iter_mut().for_each(|seen| *seen *= kept);
+        let (most, width) = widest();
+        let class = ((odds(p) + most) / width) as usize;
+        self.seen[class.min(CLASSES - 1)] += 1.0;
+        self.total = self.total * kept + 1.0;
         let asked = 1.0 - self.options.coverage;
-        self.miss += self.options.step * (asked - f64::from(u8::from(!hit)));
+        self.miss += self.options.step * (asked - f64::from(u8::from(p < threshold)));
         // Beyond 0 and 1 sets hold all places or no place, until a long series of misses or hits is balanced.
         self.miss = self.miss.clamp(-SERIES, 1.0 + SERIES);
         self.threshold = self.least();
     }
 
-    /// Counts the probability of a true place.
-    fn see(&mut self, p: f64) {
-        self.weight *= (std::f64::consts::LN_2 / HALF_LIFE).exp();
-        if self.weight > WEIGHT_MAX {
-            self.seen.iter_mut().for_each(|seen| *seen /= self.weight);
-            self.total /= self.weight;
-            self.weight = 1.0;
-        }
-        let (most, width) = widest();
-        let class = ((odds(p) + most) / width) as usize;
-        self.seen[class.min(CLASSES - 1)] += self.weight;
-        self.total += self.weight;
-    }
-
-    /// State for restarts: the share of misses, and the weighted number of true places per class.
+    /// State for restarts: the share of misses, and the decayed number of true places per class.
     pub(crate) fn state(&self) -> (f64, Vec<f32>) {
-        (self.miss, self.seen.iter().map(|seen| (seen / self.weight) as f32).collect())
+        (self.miss, self.seen.iter().map(|seen| *seen as f32).collect())
     }
 
     /// Restores a state without its impossible values.
     pub(crate) fn restore(&mut self, miss: f64, seen: &[f32]) {
-        self.weight = 1.0;
         let possible = |seen: &f32| if seen.is_finite() && *seen > 0.0 { f64::from(*seen) } else { 0.0 };
         self.seen.iter_mut().zip(seen).for_each(|(own, seen)| *own = possible(seen));
         self.total = self.seen.iter().sum();
@@ -230,14 +193,14 @@ mod tests {
             // Probabilities vary a little.
             let p: Vec<f64> = vec![0.8, 0.1, 0.05, 0.05].into_iter().map(|p| p * rng.random_range(0.9..1.0)).collect();
             let truth = if rng.random::<f64>() < likely { 0 } else { rng.random_range(1..4) };
-            let issued = sets.issue();
-            sets.set(&p, issued, &mut set);
+            let threshold = sets.threshold();
+            sets.set(&p, threshold, &mut set);
             held += f64::from(u8::from(set[truth]));
             size += set.iter().filter(|held| **held).count() as f64;
-            waiting.push_back((p, issued, truth));
+            waiting.push_back((p[truth], threshold));
             if waiting.len() > late {
-                let (p, issued, truth) = waiting.pop_front().unwrap();
-                sets.learn(&p, issued, truth);
+                let (p, threshold) = waiting.pop_front().unwrap();
+                sets.learn(p, threshold);
             }
         }
         (held / MOMENTS as f64, size / MOMENTS as f64)
@@ -282,18 +245,18 @@ mod tests {
             let total: f64 = raw.iter().sum();
             let p: Vec<f64> = raw.iter().map(|p| p / total).collect();
             let mut sets = AdaptiveSets::new(SetOptions::default());
-            for truth in truths {
-                sets.learn(&p, sets.issue(), truth);
+            for truth in truths.into_iter().filter(|truth| *truth < p.len()) {
+                sets.learn(p[truth], sets.threshold());
             }
             let mut set = Vec::new();
-            sets.set(&p, sets.issue(), &mut set);
+            sets.set(&p, sets.threshold(), &mut set);
             let least_in = (0..p.len()).filter(|i| set[*i]).map(|i| p[i]).fold(f64::INFINITY, f64::min);
             prop_assert!((0..p.len()).all(|i| set[i] || p[i] <= least_in) && set.contains(&true));
             let (miss, seen) = sets.state();
             let mut again = AdaptiveSets::new(SetOptions::default());
             again.restore(miss, &seen);
             let mut other = Vec::new();
-            again.set(&p, again.issue(), &mut other);
+            again.set(&p, again.threshold(), &mut other);
             prop_assert_eq!(set, other);
         }
     }

@@ -19,9 +19,9 @@ use super::context::{CLASSES_S, Context, minute, time_class};
 use super::counts::Counts;
 use super::leaving::{EXIT, EXITS, Leaving, MINUTES, SHIPPED_AWAY_S, Stay, stay_parts};
 use super::names::{ELSEWHERE, Home};
-use super::parts::{NONE, Part, Without, key};
+use super::parts::{NONE, Part, Without};
 use super::pool::{Begin, Plan, Pool, Source, expert};
-use super::sets::{AdaptiveSets, Issued, SetOptions};
+use super::sets::{AdaptiveSets, SetOptions};
 use super::view::{Level, View, level, normalise};
 
 /// Horizons at which the weights are learned, in seconds.
@@ -71,7 +71,8 @@ struct Waiting {
     at_s: f64,
     entered_s: f64,
     place: u16,
-    issued: Issued,
+    /// Of the set.
+    threshold: f64,
     /// The probabilities of experts and mixture, row by row; empty if only the counts learn.
     rows: Vec<f64>,
 }
@@ -92,7 +93,7 @@ pub(crate) struct Stays {
     pub(crate) place: u16,
     pub(crate) entered_s: f64,
     /// Whether the person came back at `entered_s`, into an unknown room.
-    is_back: bool,
+    pub(crate) is_back: bool,
     /// The place before.
     before: u16,
     updated_s: f64,
@@ -140,14 +141,6 @@ impl Stays {
         self.anchors.iter_mut().for_each(|anchor| anchor.waiting.clear());
     }
 
-    pub(crate) fn forget_number(&mut self, number: u16) {
-        [&mut self.before, &mut self.place]
-            .into_iter()
-            .filter(|place| **place == number)
-            .for_each(|place| *place = NONE);
-        self.forget_forecasts();
-    }
-
     pub(crate) fn shift_clock(&mut self, by_s: f64) {
         let waiting = self.anchors.iter_mut().flat_map(|anchor| &mut anchor.waiting);
         waiting
@@ -178,7 +171,7 @@ impl Stays {
     fn add_stay(&self, counts: &mut Counts, slot: u8, at_s: f64, symbol: u16, weight: f64) {
         let context = Context::of_stay(self.place, time_class(at_s - self.entered_s), at_s);
         for part in stay_parts(self.place) {
-            counts.add(key(*part, slot, context.numbers(*part).1), symbol, weight, minute(at_s));
+            counts.add(context.key(*part, slot), symbol, weight, minute(at_s));
         }
     }
 
@@ -198,7 +191,7 @@ impl Stays {
         if from != NONE && number != NONE && learn {
             let context = Context::of_stay(from, 0, now_s);
             for Level { part, .. } in EXIT {
-                counts.add(key(part, slot, context.numbers(part).1), number, 1.0, minute(now_s));
+                counts.add(context.key(part, slot), number, 1.0, minute(now_s));
             }
         }
         self.before = std::mem::replace(&mut self.place, number);
@@ -213,22 +206,15 @@ impl Stays {
         }
     }
 
-    /// Whether the person came back and has no known room since.
-    pub(crate) fn is_back(&self) -> bool {
-        self.is_back
-    }
-
-    pub(crate) fn is_due(&self, now_s: f64) -> bool {
-        now_s - self.sampled_s >= SAMPLE_S
-    }
-
     /// Counts the time spent until now, and learns from due forecasts.
     pub(crate) fn learn_due(&mut self, counts: &mut Counts, slot: u8, home: &Home, now_s: f64, learn: bool) {
         self.advance(counts, slot, now_s, learn);
         let places = home.places();
         for (index, (anchor, horizon_s)) in self.anchors.iter_mut().zip(ANCHORS_S).enumerate() {
             while anchor.waiting.front().is_some_and(|waiting| waiting.at_s + horizon_s <= now_s) {
-                let Some(Waiting { at_s, entered_s, place, issued, rows }) = anchor.waiting.pop_front() else { break };
+                let Some(Waiting { at_s, entered_s, place, threshold, rows }) = anchor.waiting.pop_front() else {
+                    break;
+                };
                 let due_s = at_s + horizon_s;
                 let truth = if due_s >= self.entered_s { self.place } else { self.before };
                 // Outcomes that were not observed in time are unknown.
@@ -241,14 +227,17 @@ impl Stays {
                 if let Some(truth) = home.places.index(truth).filter(|_| rows.len() == (EXPERTS + 1) * places) {
                     let given = |expert: usize| rows[expert * places + truth].max(FLOOR);
                     anchor.pool.mixture.learn(given, SHARE, (SAMPLE_S / horizon_s).min(1.0));
-                    anchor.sets.learn(&rows[EXPERTS * places..], issued, truth);
+                    anchor.sets.learn(rows[EXPERTS * places + truth], threshold);
                 }
             }
         }
     }
 
-    /// Keeps a forecast to learn from later. `shipped` writes the forecast without habits.
+    /// Keeps a forecast to learn from later, once a [`SAMPLE_S`]. `shipped` writes the forecast without habits.
     pub(crate) fn sample(&mut self, view: &View<'_>, now_s: f64, shipped: &mut dyn FnMut(f64, &mut [f64])) {
+        if now_s - self.sampled_s < SAMPLE_S {
+            return;
+        }
         self.sampled_s = now_s;
         let places = view.home.places();
         let mut own = vec![0.0; ANCHORS_S.len() * places];
@@ -260,8 +249,8 @@ impl Stays {
             rows.push(if is_known { all.to_vec() } else { Vec::new() })
         });
         for (anchor, rows) in self.anchors.iter_mut().zip(rows) {
-            let issued = anchor.sets.issue();
-            anchor.waiting.push_back(Waiting { at_s: now_s, entered_s, place, issued, rows });
+            let threshold = anchor.sets.threshold();
+            anchor.waiting.push_back(Waiting { at_s: now_s, entered_s, place, threshold, rows });
         }
     }
 
@@ -284,19 +273,14 @@ impl Stays {
         }
         if let Some(here) = here {
             for index in 0..ANCHORS_S.len() {
-                let is_used = |horizon_s: &f64| {
-                    between(*horizon_s).iter().any(|(own, share)| *own == Some(index) && *share > 0.0)
-                };
-                if horizons_s.iter().any(is_used) {
-                    let stay = self.persistence(index, places);
-                    let pool = &mut self.anchors[index].pool;
-                    pool.begin(places, None);
-                    let by_place = pool.row_mut(BY_PLACE);
-                    by_place.fill((1.0 - stay) / (places - 1).max(1) as f64);
-                    by_place[here] = stay;
-                    let context = later_context(self.place, index, now_s, now_s - self.entered_s);
-                    pool.smooth(view, &context, |number| view.home.places.index(number));
-                }
+                let stay = self.persistence(index, places);
+                let pool = &mut self.anchors[index].pool;
+                pool.begin(places, None);
+                let by_place = pool.row_mut(BY_PLACE);
+                by_place.fill((1.0 - stay) / (places - 1).max(1) as f64);
+                by_place[here] = stay;
+                let context = later_context(self.place, index, now_s, now_s - self.entered_s);
+                pool.smooth(view, &context, |number| view.home.places.index(number));
             }
         }
         for (at, (horizon_s, out)) in horizons_s.iter().zip(out.chunks_exact_mut(places)).enumerate() {
@@ -351,7 +335,7 @@ impl Stays {
         if another || sets.knows_little() {
             sets.cover(probabilities, set);
         } else {
-            sets.set(probabilities, sets.issue(), set);
+            sets.set(probabilities, sets.threshold(), set);
         }
     }
 

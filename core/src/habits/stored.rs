@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::names::{Names, Numbered};
+use super::names::Names;
 use super::parts::{MOST, NONE, Number, Part, SLOT_MASK, key, split};
 use super::pool::Pool;
 use super::{Habits, HabitsOptions, PERSONS_MAX, Person};
@@ -11,9 +11,8 @@ use crate::parsing::{Keyed, json_says, list_of_keyed};
 
 /// Changes when older programs cannot read the state.
 pub(crate) const VERSION: u16 = 5;
-/// The oldest readable version, and the first one with these experts. Before that, the keys of some contexts had other numbers.
-const OLDEST: u16 = 2;
-const CONVERTED: u16 = 4;
+/// The version of 0.1.0: it had other experts, and the keys of some contexts had other numbers.
+const OLDEST: u16 = 3;
 /// Largest readable state, in bytes.
 pub const BYTES_MAX: usize = 16 << 20;
 
@@ -21,12 +20,6 @@ pub const BYTES_MAX: usize = 16 << 20;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum StoredError {
-    /// It is larger than [`BYTES_MAX`].
-    #[error("the habits have {bytes} bytes, more than {BYTES_MAX}: they are damaged")]
-    TooLarge {
-        /// Its size.
-        bytes: usize,
-    },
     /// Another version wrote it.
     #[error(
         "the habits are of version {found}, this program reads versions {OLDEST} to {VERSION}: use the program that wrote them, or forget them"
@@ -52,8 +45,6 @@ fn malformed(what: impl Into<String>) -> StoredError {
 pub struct StoredName {
     /// The name.
     pub name: String,
-    /// The minute when it was last seen, since 1970, local time.
-    pub seen_min: u32,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -61,7 +52,7 @@ pub(crate) struct StoredAnchor {
     pub(crate) stayed: f64,
     pub(crate) sampled: f64,
     pub(crate) miss: f64,
-    /// Weighted number of true places per class of [`super::sets`].
+    /// Decayed number of true places per class of [`super::sets`].
     pub(crate) scores: Vec<f32>,
 }
 
@@ -115,7 +106,7 @@ pub struct Stored {
 }
 
 impl Stored {
-    /// Converts an earlier version: its counts stay, except for those with other numbers in their keys; the rest is learned again.
+    /// Converts the version of 0.1.0: its counts stay, except for those with other numbers in their keys; the rest is learned again.
     fn convert(&mut self) {
         for person in &mut self.persons {
             person.weights.clear();
@@ -123,14 +114,10 @@ impl Stored {
                 (anchor.miss, anchor.scores) = (f64::NAN, Vec::new());
             }
         }
-        let others = [Part::ThingAtHour, Part::RoomByDwell, Part::Stay, Part::StayByPlace, Part::StayByHour];
-        let others = others.into_iter().chain([Part::LaterByDwell]).map(|part| part as u8).collect::<Vec<_>>();
-        self.rows.retain(|row| !others.contains(&row.kind));
+        use Part::{LaterByDwell, RoomByDwell, Stay, StayByHour, StayByPlace, ThingAtHour};
+        let others = [ThingAtHour, RoomByDwell, Stay, StayByPlace, StayByHour, LaterByDwell];
+        self.rows.retain(|row| others.iter().all(|part| *part as u8 != row.kind));
     }
-}
-
-fn readable(found: u16) -> Result<u16, StoredError> {
-    if (OLDEST..=VERSION).contains(&found) { Ok(found) } else { Err(StoredError::Version { found }) }
 }
 
 impl StoredPerson {
@@ -211,19 +198,17 @@ impl Habits {
     /// The habits as values: counts of names and hours, no sentences.
     #[must_use]
     pub fn stored(&self) -> Stored {
-        let names = |names: &Names| {
-            names.iter().map(|(name, seen_min)| StoredName { name: name.to_owned(), seen_min }).collect()
-        };
+        let names = |names: &Names| names.names().iter().map(|name| StoredName { name: name.clone() }).collect();
         let row = |(key, touched_min, counts): (u64, u32, Vec<(u16, f32)>)| {
-            let (part, _, slot, after) = split(key)?;
-            Some(StoredRow { kind: part as u8, slot, after, touched_min, counts })
+            let (kind, slot, after) = split(key);
+            StoredRow { kind, slot, after, touched_min, counts }
         };
         Stored {
             version: VERSION,
             objects: names(&self.home.things),
             places: names(&self.home.places),
             persons: self.persons.iter().cloned().map(Person::stored).collect(),
-            rows: self.counts.rows().into_iter().filter_map(row).collect(),
+            rows: self.counts.rows().into_iter().map(row).collect(),
         }
     }
 
@@ -234,17 +219,16 @@ impl Habits {
     /// [`StoredError`] when the values are of another version, or impossible. Then the habits stay as they were.
     pub fn from_stored(options: HabitsOptions, mut stored: Stored) -> Result<Self, StoredError> {
         let mut habits = Self::new(options);
-        habits.is_converted = readable(stored.version)? < CONVERTED;
-        if habits.is_converted {
-            stored.convert();
+        match stored.version {
+            OLDEST => stored.convert(),
+            found if !(OLDEST..=VERSION).contains(&found) => return Err(StoredError::Version { found }),
+            _ => {}
         }
         let names = [(&stored.objects, &mut habits.home.things, 0), (&stored.places, &mut habits.home.places, 1)];
         for (names, own, known) in names {
-            for (at, StoredName { name, seen_min }) in names.iter().enumerate() {
-                let is_known = at < known && own.iter().nth(at).is_some_and(|(own, _)| own == name);
-                let fits = is_known || own.add(name.clone(), *seen_min) == Numbered::As(at as u16);
-                own.date(at as u16, *seen_min);
-                if !fits {
+            for (at, StoredName { name }) in names.iter().enumerate() {
+                let is_known = at < known && own.names().get(at) == Some(name);
+                if !is_known && own.add(name.clone()) != Some(at as u16) {
                     return Err(malformed(format!("the name {name:?} comes twice, is too long, or is one too many")));
                 }
             }
@@ -254,8 +238,7 @@ impl Habits {
             let number = PersonId(from.number);
             let is_known = habits.persons.iter().any(|other| other.number == number || other.slot == from.slot);
             if is_known || usize::from(from.slot) >= PERSONS_MAX {
-                let what = format!("person {} comes twice, or in a place that does not exist", from.number);
-                return Err(malformed(what));
+                return Err(malformed(format!("person {number} comes twice, or in a place that does not exist")));
             }
             let mut person = Person::new(number, from.slot, &options);
             person.restore(from)?;
@@ -266,8 +249,8 @@ impl Habits {
             // A removed context.
             let Some((part, [first, second, third, counted])) = Part::context(row.kind) else { continue };
             let exists = |(is, number): (Number, u16)| match is {
-                Number::Object => number == NONE || usize::from(number) < habits.home.things.len(),
-                Number::Place => number == NONE || usize::from(number) < habits.home.places.len(),
+                Number::Object => number == NONE || usize::from(number) < habits.home.things.names().len(),
+                Number::Place => number == NONE || usize::from(number) < habits.home.places.names().len(),
                 Number::Plain => true,
             };
             let is_whole = habits.persons.iter().any(|person| person.slot == row.slot & SLOT_MASK)
@@ -287,12 +270,6 @@ impl Habits {
         Ok(habits)
     }
 
-    /// Whether an earlier version wrote the state: all but its counts is learned again.
-    #[must_use]
-    pub fn is_converted(&self) -> bool {
-        self.is_converted
-    }
-
     /// The habits as JSON.
     ///
     /// # Errors
@@ -307,7 +284,7 @@ impl Habits {
     /// As [`Habits::from_stored`].
     pub fn from_json(options: HabitsOptions, json: &str) -> Result<Self, StoredError> {
         if json.len() > 4 * BYTES_MAX {
-            return Err(StoredError::TooLarge { bytes: json.len() });
+            return Err(malformed(format!("{} bytes are more than {}", json.len(), 4 * BYTES_MAX)));
         }
         let Keyed(stored): Keyed<Stored> = serde_json::from_str(json).map_err(|error| malformed(json_says(&error)))?;
         Self::from_stored(options, stored)

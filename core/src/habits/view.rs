@@ -10,7 +10,7 @@
 use super::context::Context;
 use super::counts::{Counts, Seen};
 use super::names::Home;
-use super::parts::{Part, Without, key, with_times};
+use super::parts::{Part, Without};
 
 /// Most other persons in a prior: those with the most observations.
 pub(crate) const OTHERS_MAX: usize = 3;
@@ -43,9 +43,7 @@ pub(crate) struct View<'a> {
 impl<'a> View<'a> {
     /// The person's counts in a context, if it is used.
     pub(crate) fn own(&self, part: Part, context: &Context) -> Option<Seen<'a>> {
-        let (times, after) = context.numbers(part);
-        let key = key(part, with_times(self.slot, times), after);
-        self.without.uses(part).then(|| self.counts.get(key, self.now_min)).flatten()
+        self.without.uses(part).then(|| self.counts.get(context.key(part, self.slot), self.now_min)).flatten()
     }
 
     /// The counts in a context, each with its strength: first the others', then the person's.
@@ -109,7 +107,6 @@ pub(crate) fn normalise(p: &mut [f64]) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::counts::Limits;
     use super::*;
     use proptest::prelude::*;
 
@@ -119,7 +116,7 @@ mod tests {
             adds in prop::collection::vec((0..12u16, 0.1..3.0f64), 0..40),
             discount in 0.0..1.0f64, concentration in 0.01..10.0f64,
         ) {
-            let mut counts = Counts::new(Limits { rows: 4, blocks: 64, half_life_min: 0.0 });
+            let mut counts = Counts::new(4, 64, 0.0);
             for (symbol, weight) in adds {
                 counts.add(1, symbol, weight, 0);
             }

@@ -48,6 +48,7 @@ const OF_THE_PAPER: [&str; 4] = ["--items", "uniform", "--history", "1000"];
 /// A table's title, and the arguments of `roomcast-lab` that print it.
 type Table = (String, Vec<String>);
 
+/// Long, because it is a list: each table of the card, in the card's order.
 fn tables(args: &CardArgs) -> Vec<Table> {
     let path = |folder: &Path, below: &str| folder.join(below).display().to_string();
     let shared = |below: &str| path(&args.shared, below);

@@ -583,18 +583,8 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
         if args.prompt.is_empty() { BindingSequence::all_built_in().collect() } else { args.prompt.clone() };
     let models = std::iter::once(args.study.model.model.clone()).chain(args.also_model.iter().cloned().map(Some));
     let deciders = [Decider::Policy(PolicyName::InformedAvoidance), Decider::Policy(PolicyName::CoverageAware)];
-    let columns = [
-        "model",
-        "prompt",
-        "scores",
-        "window",
-        "policy",
-        "D_T mean (s)",
-        "D_T std (s)",
-        "t_c mean (s)",
-        "F",
-        "regret (s)",
-    ];
+    let columns = "model, prompt, scores, window, policy, D_T mean (s), D_T std (s), t_c mean (s), F, regret (s)";
+    let columns: Vec<&str> = columns.split(", ").collect();
     let mut table = Table::new("ablation", "Models, prompts, ways of scoring and windows", &columns);
     let (mut rows, mut notes) = (Vec::new(), Vec::new());
     for model in models {

@@ -257,11 +257,8 @@ pub fn play(way: Way, days: usize, seed: u64) -> Result<Sums, WishesError> {
         let (day, of_day) = (minute / DAY, minute % DAY);
         let now: Vec<(Option<usize>, bool)> = lives.iter().map(|life| life[minute]).collect();
         let is_empty = now.iter().all(|(room, _)| room.is_none());
-        if let Some((room, left)) = robot.work
-            && left == 0
-        {
+        if let Some((room, _)) = robot.work.take_if(|(_, left)| *left == 0) {
             done[day][room] = true;
-            robot.work = None;
         }
         let before = robot.work;
         match way {
@@ -345,33 +342,14 @@ fn tell(
     known: &[Known],
 ) -> Result<(), WishesError> {
     let at_ns = minute as u64 * MINUTE_NS;
-    let mut scores = RoomScoresV1 {
-        epoch: 1,
-        sequence: minute as u64,
-        computed_ns: at_ns,
-        published_ns: at_ns,
-        room_count: ROOMS.len() as u32,
-        map_fingerprint,
-        ..Default::default()
-    };
-    let mut each = Box::new(PersonForecastsV1 {
-        epoch: 1,
-        sequence: minute as u64,
-        computed_ns: at_ns,
-        published_ns: at_ns,
-        room_count: ROOMS.len() as u32,
-        horizon_count: HORIZONS_MIN.len() as u32,
-        ..Default::default()
-    });
-    let mut whole = Box::new(ForecastV1 {
-        epoch: 1,
-        sequence: minute as u64,
-        computed_ns: at_ns,
-        published_ns: at_ns,
-        room_count: ROOMS.len() as u32,
-        horizon_count: HORIZONS_MIN.len() as u32,
-        ..Default::default()
-    });
+    let mut scores = RoomScoresV1 { epoch: 1, map_fingerprint, ..Default::default() };
+    let mut each = Box::new(PersonForecastsV1 { epoch: 1, ..Default::default() });
+    let mut whole = Box::new(ForecastV1 { epoch: 1, ..Default::default() });
+    [scores.sequence, each.sequence, whole.sequence] = [minute as u64; 3];
+    [scores.computed_ns, each.computed_ns, whole.computed_ns] = [at_ns; 3];
+    [scores.published_ns, each.published_ns, whole.published_ns] = [at_ns; 3];
+    [scores.room_count, each.room_count, whole.room_count] = [ROOMS.len() as u32; 3];
+    [each.horizon_count, whole.horizon_count] = [HORIZONS_MIN.len() as u32; 2];
     for (room, id) in ROOMS.iter().enumerate() {
         scores.room[room].id = text::encode("id", id)?;
         (each.id[room], whole.id[room]) = (scores.room[room].id, scores.room[room].id);

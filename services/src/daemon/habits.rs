@@ -9,17 +9,18 @@
 //! autumn, or the machine slept, their times move by the same amount, so that no stay seems longer than it was.
 
 use std::collections::BTreeMap;
-use std::ffi::OsStr;
 
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::{
-    Habits, HabitsOptions, Learned, PARTS, PERSONS_MAX, Place, RoomShares, Shares, StoredError, Turn, WhenShares,
+    Habits, HabitsOptions, Learned, PARTS, PERSONS_MAX, Place, Shares, StoredError, Turn, WhenShares,
 };
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::Observation;
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_ipc::raw::{MAX_HORIZONS, MAX_ROOMS};
+
+use super::zone::Zone;
 
 /// Greater differences between wall clock and monotonic clock are clock steps, not corrections.
 const CLOCK_SET_S: f64 = 30.0;
@@ -31,70 +32,6 @@ const TICK_NS: u64 = 60_000_000_000;
 const ASLEEP_NS: u64 = 5 * TICK_NS;
 /// A turn counts for a room if the person is there with more than this probability.
 const SURE: f64 = 0.5;
-
-/// Why the local time zone is unknown.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct NoZone {
-    /// The cause.
-    pub reason: String,
-    /// The remedy.
-    pub remedy: String,
-}
-
-/// The local time zone.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Zone(Option<tz::TimeZone>);
-
-impl Zone {
-    /// No time zone: local time is UTC.
-    pub const UTC: Self = Self(None);
-
-    /// The machine's time zone. If it has none, the log warns, and local time is UTC.
-    #[must_use]
-    pub fn local() -> Self {
-        Self::find().unwrap_or_else(|NoZone { reason, remedy }| {
-            tracing::warn!("{reason}; hours of the day are those of UTC: {remedy}");
-            Self::UTC
-        })
-    }
-
-    /// The machine's time zone, as `date` has it: the environment variable `TZ` with a name like `Europe/Berlin`, a file, or a rule like
-    /// `CET-1CEST,M3.5.0,M10.5.0/3`. An empty variable is UTC, and an unset one means `/etc/localtime`.
-    ///
-    /// # Errors
-    /// [`NoZone`] when the time zone cannot be read.
-    pub fn find() -> Result<Self, NoZone> {
-        Self::of_variable(std::env::var_os("TZ").as_deref())
-    }
-
-    pub(crate) fn of_variable(value: Option<&OsStr>) -> Result<Self, NoZone> {
-        let Some(value) = value else {
-            return tz::TimeZone::local().map(|zone| Self(Some(zone))).map_err(|error| NoZone {
-                reason: format!("no time zone is set: TZ is not, and /etc/localtime cannot be read: {error}"),
-                remedy: "timedatectl set-timezone Europe/Berlin, or your own, or set TZ".to_owned(),
-            });
-        };
-        if value.is_empty() {
-            return Ok(Self::UTC);
-        }
-        // The library itself reads no environment.
-        let zone = value.to_str().and_then(|value| tz::TimeZone::from_posix_tz(value).ok());
-        zone.map(|zone| Self(Some(zone))).ok_or_else(|| NoZone {
-            reason: format!("TZ is {value:?}, which is no time zone of this machine"),
-            remedy: "correct it, or install the package tzdata; a rule as CET-1CEST,M3.5.0,M10.5.0/3 needs none"
-                .to_owned(),
-        })
-    }
-
-    /// Seconds since 1970 in local time.
-    #[must_use]
-    pub fn local_s(&self, unix_ns: UnixNs) -> f64 {
-        let unix_s = unix_ns.0 / 1_000_000_000;
-        let zone = self.0.as_ref().zip(i64::try_from(unix_s).ok());
-        let offset_s = zone.and_then(|(zone, unix_s)| Some(zone.find_local_time_type(unix_s).ok()?.ut_offset()));
-        unix_ns.seconds() + f64::from(offset_s.unwrap_or_default())
-    }
-}
 
 /// Ids of learned observations: the newest sequence of each start of a source, the newest last, as many as the intake follows.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -320,7 +257,7 @@ impl HomeHabits {
                 }
                 self.memory.habits.shift_clock(set_s);
                 if !self.is_of_the_past {
-                    self.memory.habits.shift_counts(set_s);
+                    self.memory.habits.shift_counts(set_s, f64::INFINITY);
                 }
                 self.state += 1;
             }
@@ -329,12 +266,10 @@ impl HomeHabits {
                 self.memory.habits.pass(local_s);
             }
         } else if !self.is_of_the_past {
-            if self.memory.watched_until_s.is_finite() {
-                // Either the daemon was off for long or the clock is wrong. Both age the counts by a week at most.
-                let away_s = local_s - self.memory.watched_until_s;
-                self.memory.habits.shift_counts(away_s - away_s.clamp(0.0, AWAY_S));
-            }
-            self.memory.habits.no_later_than(local_s);
+            // Either the daemon was off for long or the clock is wrong. Both age the counts by a week at most.
+            let away_s = local_s - self.memory.watched_until_s;
+            let by_s = if away_s.is_finite() { away_s - away_s.clamp(0.0, AWAY_S) } else { 0.0 };
+            self.memory.habits.shift_counts(by_s, local_s);
         }
         self.clock = Some((now_ns, local_s));
     }
@@ -603,13 +538,13 @@ impl HomeHabits {
     }
 
     /// The shares in the probability that the next thing is in a room.
-    pub(super) fn why_room(&self, person: PersonId, room: usize) -> Option<RoomShares> {
+    pub(super) fn why_room(&self, person: PersonId, room: usize) -> Option<Shares> {
         self.memory.habits.explain_room(person, room)
     }
 
     /// Decayed observations of a person.
     pub(super) fn observations_of(&self, person: PersonId) -> f64 {
-        self.memory.habits.observations(person)
+        self.memory.habits.persons().find(|(known, _)| *known == person).map_or(0.0, |(_, observations)| observations)
     }
 
     /// Forgets a person. Returns false if the person had no habits.
@@ -645,7 +580,7 @@ impl HomeHabits {
         let mut habits = Habits::from_json(*before.options(), json)?;
         if let Some((_, now_s)) = self.clock {
             // They may come from a machine with a clock that is ahead.
-            habits.no_later_than(now_s);
+            habits.shift_counts(0.0, now_s);
         }
         let places = before.persons().filter_map(|(person, _)| Some((person, before.place(person)?)));
         self.replaced = places.collect();

@@ -67,11 +67,12 @@ mod receiver;
 mod scoring;
 mod sleep;
 mod understood;
+mod zone;
 
 pub use asked::{ANSWERS_REMEMBERED, QUESTION_NAME_BYTES_MAX};
 pub use cycle::Cycle;
 pub use engine::{Engine, EngineError, Entry, MapError};
-pub use habits::{HomeHabits, Memory, NoZone, Zone};
+pub use habits::{HomeHabits, Memory};
 pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, VisitsLine};
 pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
 pub use journal::{HabitRows, Journal, JournalError, JournalHandle, JournalOptions, KeptPerson, Recovered};
@@ -84,6 +85,7 @@ pub use persons::{NotRenamed, Persons, flag_words};
 pub use persons_file::PersonsFile;
 pub use prefetch::{Now, Prefetcher};
 pub use understood::{By, UNDERSTOOD_MAX};
+pub use zone::{NoZone, Zone};
 
 /// How often the main thread checks the other threads.
 const SUPERVISE: Duration = Duration::from_millis(500);
@@ -314,13 +316,12 @@ fn memory(directory: Option<&Path>, rows: Option<HabitRows>, options: HabitsOpti
                 );
             })
             .ok(),
-        None => directory.and_then(|directory| journal::old_habits(directory, options)),
+        None => directory.and_then(|directory| journal::old_habits(directory, options)).inspect(|_| {
+            tracing::info!(
+                "the habits are of an earlier version: counts that are still in use are kept, and the weights are learned again"
+            );
+        }),
     };
-    if memory.as_ref().is_some_and(|memory| memory.habits.is_converted()) {
-        tracing::info!(
-            "the habits are of an earlier version: counts that are still in use are kept, and the weights are learned again"
-        );
-    }
     memory.unwrap_or_else(|| Memory::new(options))
 }
 

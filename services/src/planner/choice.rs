@@ -14,13 +14,7 @@ impl Planner {
             let reason = "it is not known which rooms are in somebody's set: no room is entered until it is".to_owned();
             return Ok(Next::Pause { why: Pause::NoSets, reason });
         };
-        let mut closed = self.interruption.held().to_vec();
-        closed.resize(closed.len().max(avoided.len()), false);
-        closed.iter_mut().zip(&avoided).for_each(|(closed, avoided)| *closed |= avoided);
-        let taken = self.taken(false, now_ns);
-        closed.resize(closed.len().max(taken.len()), false);
-        closed.iter_mut().zip(&taken).for_each(|(closed, taken)| *closed |= taken);
-        let shared = self.taken(true, now_ns);
+        let (taken, shared) = (self.taken(false, now_ns), self.taken(true, now_ns));
         let rules = self.verdicts(now_ns);
         if let Some((why, reason)) = self.why_none(&rules) {
             return Ok(Next::Pause { why, reason });
@@ -30,8 +24,12 @@ impl Planner {
         if let Some(room) = asked.filter(|room| is_open(*room)) {
             return Ok(Next::Go { room, reason: "A person asked for this room.".to_owned(), flags: 0 });
         }
-        closed.resize(closed.len().max(rules.len()), false);
-        closed.iter_mut().zip(&rules).for_each(|(closed, verdict)| *closed |= verdict.reason.is_some());
+        let against: Vec<bool> = rules.iter().map(|verdict| verdict.reason.is_some()).collect();
+        let mut closed = self.interruption.held().to_vec();
+        for also in [&avoided, &taken, &against] {
+            closed.resize(closed.len().max(also.len()), false);
+            closed.iter_mut().zip(also).for_each(|(closed, also)| *closed |= also);
+        }
         let mut left = Vec::new();
         // Time is scarce only if every remaining stay is needed.
         let scarce = self.plans()
@@ -39,8 +37,7 @@ impl Planner {
             && self.round.slots_left(now_ns).is_some_and(|slots| slots <= self.round.undone());
         loop {
             let Some(Choice { partition, reason }) = self.choose(&closed, outlook, now_ns)? else {
-                let waits = self.why_waiting(&rules);
-                let reason = if waits.is_empty() { self.why_nowhere(&left, avoided.contains(&true)) } else { waits };
+                let reason = self.why_waiting(&rules, || self.why_nowhere(&left, avoided.contains(&true)));
                 return Ok(Next::Pause { why: Pause::NoRoom, reason });
             };
             let room = partition.0 as usize;
@@ -58,41 +55,40 @@ impl Planner {
                 continue;
             }
             // A robot that made way for a person is not sent to another person.
-            let interrupted = self.notice.flags & decision_flags::INTERRUPTED != 0
-                || matches!(self.standing, Standing::Pauses(Pause::Persons, ..));
+            let interrupted =
+                self.notice.flags & decision_flags::INTERRUPTED != 0 || self.phase == Phase::Pauses(Pause::Persons);
             if interrupted && here.and_then(|here| here.get(room)).is_some_and(|likely| *likely >= occupied) {
-                let waits = self.why_waiting(&rules);
-                let reason =
-                    if waits.is_empty() { "somebody is likely in every other room too".to_owned() } else { waits };
+                let reason = self.why_waiting(&rules, || "somebody is likely in every other room too".to_owned());
                 return Ok(Next::Pause { why: Pause::Persons, reason });
             }
             // If rules leave no other room to wait in, the robot is not sent to the person instead.
-            let by_rules = rules.iter().any(|verdict| verdict.reason.is_some());
             let is_taken = rules.get(room).is_some_and(|verdict| verdict.by.is_some());
             let waits_elsewhere =
                 (0..rules.len()).any(|other| self.is_idle_in(other) && closed.get(other) != Some(&true));
-            if by_rules && is_taken && !waits_elsewhere && self.config.forced == Forced::Skip {
-                return Ok(Next::Pause { why: Pause::Persons, reason: self.why_waiting(&rules) });
+            if against.contains(&true) && is_taken && !waits_elsewhere && self.config.forced == Forced::Skip {
+                return Ok(Next::Pause { why: Pause::Persons, reason: self.why_waiting(&rules, String::new) });
             }
-            let known = match outlook.flags {
-                decision_flags::NOT_KNOWN => "nothing is known of anybody, so every room counts alike: ",
-                decision_flags::NOBODY_HOME => "nobody is home: ",
-                _ if outlook.misses_resident => "somebody who lives here was not observed yet: ",
-                _ => "",
-            };
-            let left = self.why_left(&left);
-            let waits = if self.is_idle_in(room) { self.why_waiting(&rules) } else { String::new() };
-            let waits = if waits.is_empty() { waits } else { format!("{waits} ") };
-            let (forced, flags) = match likely.filter(|likely| *likely > empty) {
-                Some(likely) => {
-                    let percent = 100.0 * likely;
-                    let forced = format!("the deadline leaves no later time for this room ({percent:.0} % occupied): ");
-                    (forced, decision_flags::DEADLINE)
-                }
-                None => (String::new(), 0),
-            };
-            return Ok(Next::Go { room, reason: format!("{waits}{known}{left}{forced}{reason}"), flags });
+            let forced = likely.filter(|likely| *likely > empty);
+            let waits = if self.is_idle_in(room) { self.why_waiting(&rules, String::new) } else { String::new() };
+            let why = self.why_go(&waits, outlook, &left, forced);
+            let flags = if forced.is_some() { decision_flags::DEADLINE } else { 0 };
+            return Ok(Next::Go { room, reason: format!("{why}{reason}"), flags });
         }
+    }
+
+    /// The text before the policy's reason.
+    fn why_go(&self, waits: &str, outlook: &Outlook, left: &[usize], forced: Option<f64>) -> String {
+        let known = match outlook.flags {
+            decision_flags::NOT_KNOWN => "nothing is known of anybody, so every room counts alike: ",
+            decision_flags::NOBODY_HOME => "nobody is home: ",
+            _ if outlook.misses_resident => "somebody who lives here was not observed yet: ",
+            _ => "",
+        };
+        let space = if waits.is_empty() { "" } else { " " };
+        let forced = forced.map(|likely| {
+            format!("the deadline leaves no later time for this room ({:.0} % occupied): ", 100.0 * likely)
+        });
+        format!("{waits}{space}{known}{}{}", self.why_left(left), forced.unwrap_or_default())
     }
 
     /// The policy's choice: rooms that the robot could not do come after the others. None when no room is open.
@@ -198,9 +194,11 @@ impl Planner {
         Some((Pause::Rule(std::mem::discriminant(first)), said.join(" ")))
     }
 
-    pub(super) fn why_waiting(&self, rules: &[Verdict]) -> String {
+    /// The reasons against the rooms to do, or the text `otherwise`.
+    fn why_waiting(&self, rules: &[Verdict], otherwise: impl FnOnce() -> String) -> String {
         let to_do = rules.iter().enumerate().filter(|(room, _)| !self.round.is_done(*room));
-        sentences(to_do.filter_map(|(_, verdict)| verdict.reason.as_ref().or(verdict.by.as_ref()))).join(" ")
+        let said = sentences(to_do.filter_map(|(_, verdict)| verdict.reason.as_ref().or(verdict.by.as_ref())));
+        if said.is_empty() { otherwise() } else { said.join(" ") }
     }
 
     pub(super) fn why_nowhere(&self, left: &[usize], avoided: bool) -> String {

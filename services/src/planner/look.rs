@@ -14,9 +14,7 @@ impl Planner {
     /// A person's order has come, or has expired: the next look decides again, and says so.
     pub(super) fn ordered(&mut self) {
         self.decided = None;
-        if self.standing != Standing::Resumes {
-            self.standing = Standing::Free;
-        }
+        self.step(Step::Order);
     }
 
     /// Notes the rooms that need work now. Due rooms need it in any round, excluded and skipped rooms never.
@@ -147,12 +145,12 @@ impl Planner {
     }
 
     /// A hold and quiet hours end the work without fresh scores, too.
-    pub(super) fn stop_by_the_clock(&mut self, stale: u32, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<DecisionV1> {
+    pub(super) fn stop_by_the_clock(&mut self, stale: u32, now_ns: BootNs) -> Option<DecisionV1> {
         let scores = self.scores?;
         let is_clock = |reason: &Reason| matches!(reason, Reason::Held { .. } | Reason::Quiet { .. });
         let reason = self.look_at_rules(&scores, now_ns, is_clock)?;
         let why = Pause::Rule(std::mem::discriminant(&reason));
-        let decision = self.pause(why, &reason.to_string(), now_ns, now_unix_ns)?;
+        let decision = self.pause(why, &reason.to_string())?;
         Some(DecisionV1 { flags: decision.flags | stale, ..decision })
     }
 
@@ -160,7 +158,7 @@ impl Planner {
     pub(super) fn look_at_work(&mut self, now_ns: BootNs) {
         if self.robot.give_up_charging(now_ns) {
             self.notice.why = "the robot has said nothing for so long that it counts as charged: ".to_owned();
-            self.standing = Standing::Free;
+            self.step(Step::Charge);
         }
         let Some(work) = &self.robot.work else { return };
         if self.is_over(work, now_ns) {
@@ -225,8 +223,8 @@ impl Planner {
 
     /// Whether the robot is free and something may have changed since the last decision.
     pub(super) fn is_to_decide(&self, scores: &RoomScoresV1, now_ns: BootNs) -> bool {
-        let pauses = matches!(self.standing, Standing::Pauses(..));
-        let sets_came = matches!(self.standing, Standing::Pauses(Pause::NoSets, ..)) && !self.lacks_sets(now_ns);
+        let pauses = matches!(self.phase, Phase::Pauses(_));
+        let sets_came = self.phase == Phase::Pauses(Pause::NoSets) && !self.lacks_sets(now_ns);
         let news = sets_came || self.decided != Some((scores.epoch, scores.sequence));
         let again = news || now_ns >= self.decided_ns.saturating_add(LOOK_AGAIN_NS);
         match &self.robot.work {

@@ -37,6 +37,7 @@ mod order;
 mod orders;
 mod others;
 mod outlook;
+mod phase;
 mod places;
 mod reports;
 mod robot;
@@ -54,6 +55,7 @@ use facts::{Known, Near, People};
 use interruption::Interruption;
 use others::Others;
 use outlook::{Forecast, Outlook};
+use phase::{Pause, Phase, Step};
 use places::Places;
 use robot::{Robot, Work};
 use round::{Round, nanoseconds};
@@ -117,36 +119,9 @@ pub struct Planner {
     decided_ns: BootNs,
     /// The next decision's text about the work before it.
     notice: Notice,
-    standing: Standing,
-}
-
-#[derive(Debug, Clone, PartialEq)]
-enum Standing {
-    /// None that is still valid.
-    Free,
-    /// An earlier planner ordered the work in hand. This planner repeats the order, so that the robot knows its number.
-    Resumes,
-    /// To pause: the cause, the text and the time.
-    Pauses(Pause, String, BootNs),
-    /// The fallback, which is valid until scores are fresh.
-    FellBack,
-    /// To stay, because every room is covered.
-    Finished,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Pause {
-    Battery,
-    /// A person has come into its room, and persons are in the others.
-    Persons,
-    /// It fails at each order.
-    Trouble,
-    /// No room is open to it.
-    NoRoom,
-    /// Rooms of persons' sets are avoided, and the sets of the scores have not come.
-    NoSets,
-    /// A rule of the house, by its kind.
-    Rule(std::mem::Discriminant<Reason>),
+    phase: Phase,
+    /// The published reason of the present pause, and its time.
+    said: (String, BootNs),
 }
 
 /// A message is dated in the future, as one of another boot. It would never be too old, and the daemon's messages would be older than it.
@@ -230,7 +205,8 @@ impl Planner {
             decided: None,
             decided_ns: BootNs(0),
             notice: Notice::default(),
-            standing: Standing::Free,
+            phase: Phase::Free,
+            said: (String::new(), BootNs(0)),
         }
     }
 
@@ -417,52 +393,44 @@ impl Planner {
         let stale = self.stale(now_ns);
         let Some(scores) = self.scores.filter(|_| stale == 0) else {
             self.interruption.look_away();
-            let stopped = self.stop_by_the_clock(stale, now_ns, now_unix_ns);
-            return Ok(stopped.or_else(|| self.fall_back(stale, now_ns, now_unix_ns)));
+            return Ok(self.stop_by_the_clock(stale, now_ns).or_else(|| self.fall_back(stale)));
         };
         if self.expects_persons(now_ns) {
             return Ok(None);
         }
         let forecast = Forecast::usable(self.forecast.as_ref(), &scores, now_ns, self.deadline_ns);
         let known = outlook::what_is_known(&scores, forecast);
-        let decision = self.decide_on(&scores, now_ns, now_unix_ns)?;
+        let decision = self.decide_on(&scores, now_ns)?;
         Ok(decision.map(|decision| DecisionV1 { flags: decision.flags | known, ..decision }))
     }
 
-    fn decide_on(
-        &mut self,
-        scores: &RoomScoresV1,
-        now_ns: BootNs,
-        now_unix_ns: UnixNs,
-    ) -> Result<Option<DecisionV1>, PolicyError> {
+    fn decide_on(&mut self, scores: &RoomScoresV1, now_ns: BootNs) -> Result<Option<DecisionV1>, PolicyError> {
         self.look_for_persons(scores, now_ns);
         self.look_for_robots(scores, now_ns);
         let _ended = self.look_at_rules(scores, now_ns, |_| true);
-        if self.standing == Standing::Resumes {
-            self.standing = Standing::Free;
+        if self.phase == Phase::Resumes {
+            self.step(Step::Decide);
             if let Some(work) = self.robot.work.clone() {
-                return Ok(Some(self.ask_again(&work, scores, now_ns, now_unix_ns)));
+                return Ok(Some(self.ask_again(&work, scores, now_ns)));
             }
         }
         if !self.is_to_decide(scores, now_ns) {
             return Ok(None);
         }
-        if matches!(self.standing, Standing::FellBack | Standing::Finished) {
-            self.standing = Standing::Free;
-        }
+        self.step(Step::Decide);
         (self.decided, self.decided_ns) = (Some((scores.epoch, scores.sequence)), now_ns);
         if let Some(reason) = self.robot.why_it_charges() {
-            return Ok(self.pause(Pause::Battery, &reason, now_ns, now_unix_ns));
+            return Ok(self.pause(Pause::Battery, &reason));
         }
         if let Some(reason) = self.robot.why_it_rests(now_ns) {
-            return Ok(self.pause(Pause::Trouble, &reason, now_ns, now_unix_ns));
+            return Ok(self.pause(Pause::Trouble, &reason));
         }
         let waiting = self.robot.work.clone();
         if waiting.is_some() && self.round.slots_left(now_ns) == Some(0) {
             return Ok(None);
         }
         if self.round.undone() == 0 && !self.config.repeat {
-            return Ok(Some(self.finish(now_ns, now_unix_ns)));
+            return Ok(Some(self.finish()));
         }
         let (flags, ended) = self.turn_round(now_ns);
         self.round.began_ns.get_or_insert(now_ns);
@@ -474,7 +442,7 @@ impl Planner {
             Next::Pause { why, reason } => {
                 // Rounds pass while a rule allows no room.
                 let ended = if matches!(why, Pause::Rule(_)) { "" } else { &ended };
-                Ok(self.pause(why, &format!("{ended}{reason}"), now_ns, now_unix_ns))
+                Ok(self.pause(why, &format!("{ended}{reason}")))
             }
             Next::Go { room, reason, flags: forced } => {
                 let idle = self.is_idle_in(room);
@@ -492,7 +460,7 @@ impl Planner {
                 // The reason before it is about another room.
                 let goes = format!("goes to {}: ", self.id_of(room));
                 let goes = if self.notice.why.is_empty() { "" } else { &goes };
-                let decision = self.go(room, stay_ns, &format!("{ended}{goes}{reason}"), now_ns, now_unix_ns);
+                let decision = self.go(room, stay_ns, &format!("{ended}{goes}{reason}"));
                 let likely_now = here.as_ref().and_then(|here| here.get(room).copied());
                 self.send_to(room, idle, likely_now, now_ns, decision.sequence);
                 Ok(Some(DecisionV1 {
@@ -506,16 +474,20 @@ impl Planner {
         }
     }
 
+    fn step(&mut self, step: Step) {
+        self.phase = self.phase.after(step);
+    }
+
     /// The last decision of a planner that does not repeat its rounds.
-    fn finish(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> DecisionV1 {
-        self.standing = Standing::Finished;
+    fn finish(&mut self) -> DecisionV1 {
+        self.step(Step::Finish);
         self.round.end();
         // An interrupted robot does not wait in a person's room.
         let (action, to) = match self.notice.flags & decision_flags::INTERRUPTED {
             0 => (action::STAY, self.robot.room),
             _ => (action::PAUSE, None),
         };
-        let decision = self.decision(now_ns, now_unix_ns, to, "every room is covered");
+        let decision = self.decision(to, "every room is covered");
         DecisionV1 { action, flags: decision.flags | decision_flags::COVERED, ..decision }
     }
 
@@ -543,7 +515,7 @@ impl Planner {
         (0, format!("the round's deadline came with {undone} of {rooms} rooms undone, {next}: "))
     }
 
-    fn ask_again(&mut self, work: &Work, scores: &RoomScoresV1, now_ns: BootNs, now_unix_ns: UnixNs) -> DecisionV1 {
+    fn ask_again(&mut self, work: &Work, scores: &RoomScoresV1, now_ns: BootNs) -> DecisionV1 {
         // After its time the robot owes a report. It may have sent it while no planner was running.
         let left_ns = work.ends_ns.since(now_ns);
         let reason = match left_ns {
@@ -554,7 +526,7 @@ impl Planner {
         let outlook = Outlook::new(scores, forecast, self.stay_s(), 0);
         let likely = outlook.over_stay(work.room, self.stay_s()).filter(|_| self.plans());
         let likely = likely.or_else(|| outlook.likely.get(work.room).copied()).unwrap_or_default().clamp(0.0, 1.0);
-        let decision = self.go(work.room, left_ns, reason, now_ns, now_unix_ns);
+        let decision = self.go(work.room, left_ns, reason);
         let owed = if left_ns == 0 { decision_flags::OWED } else { 0 };
         let decision = DecisionV1 { probability: likely, flags: decision.flags | owed, ..decision };
         if let Some(work) = &mut self.robot.work {
@@ -565,7 +537,7 @@ impl Planner {
 
     /// Every room is covered and the planner said so. A new room on the map changes that.
     fn is_finished(&self) -> bool {
-        self.standing == Standing::Finished && self.round.undone() == 0
+        self.phase == Phase::Finished && self.round.undone() == 0
     }
 
     /// The reason why the scores must not be used: bits of [`decision_flags`], 0 if they may.

@@ -4,64 +4,53 @@ use super::*;
 
 impl Planner {
     /// The robot stays, since the scores are stale.
-    pub(super) fn fall_back(&mut self, stale: u32, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<DecisionV1> {
-        if self.robot.work.is_some() || self.is_finished() || self.standing == Standing::FellBack {
+    pub(super) fn fall_back(&mut self, stale: u32) -> Option<DecisionV1> {
+        if self.robot.work.is_some() || self.is_finished() || self.phase == Phase::FellBack {
             return None;
         }
         // A robot that made way for a person does not stay next to that person.
-        let (action, to, does) = match std::mem::replace(&mut self.standing, Standing::FellBack) {
-            Standing::Pauses(..) => (action::PAUSE, None, "the robot had paused, and goes on pausing"),
+        let (action, to, does) = match self.phase {
+            Phase::Pauses(_) => (action::PAUSE, None, "the robot had paused, and goes on pausing"),
             _ => (action::STAY, self.robot.room, "staying is safe"),
         };
+        self.step(Step::FallBack);
         self.decided = None;
         let why = match stale {
             decision_flags::NO_SCORES => "no scores have arrived",
             decision_flags::STALE => "the scores lack narration that the scorer failed on",
             _ => "the daemon has been silent for longer than the deadline",
         };
-        let decision = self.decision(now_ns, now_unix_ns, to, &format!("{why}: {does}"));
+        let decision = self.decision(to, &format!("{why}: {does}"));
         Some(DecisionV1 { action, flags: decision.flags | decision_flags::FALLBACK | stale, ..decision })
     }
 
-    pub(super) fn pause(
-        &mut self,
-        why: Pause,
-        reason: &str,
-        now_ns: BootNs,
-        now_unix_ns: UnixNs,
-    ) -> Option<DecisionV1> {
-        let said = Standing::Pauses(why, reason.to_owned(), now_ns);
-        if let Standing::Pauses(before, words, said_ns) = &self.standing {
-            let is_other = *before != why && [*before, why].iter().any(|why| matches!(why, Pause::Rule(_)));
-            let is_timed = matches!(why, Pause::Rule(_) | Pause::Persons);
-            let is_old = is_timed && words != reason && now_ns >= said_ns.saturating_add(SAY_AGAIN_NS);
-            if !is_other && !is_old && self.notice.why.is_empty() {
-                let (words, said_ns) = (words.clone(), *said_ns);
-                self.standing = Standing::Pauses(why, words, said_ns);
-                return None;
-            }
+    pub(super) fn pause(&mut self, why: Pause, reason: &str) -> Option<DecisionV1> {
+        let ((words, said_ns), now_ns) = (&self.said, self.clock.0);
+        let is_timed = matches!(why, Pause::Rule(_) | Pause::Persons);
+        let is_old = is_timed && words != reason && now_ns >= said_ns.saturating_add(SAY_AGAIN_NS);
+        let is_said = |before: Pause| {
+            let is_other = before != why && [before, why].iter().any(|why| matches!(why, Pause::Rule(_)));
+            !is_other && !is_old && self.notice.why.is_empty()
+        };
+        let is_said = matches!(self.phase, Phase::Pauses(before) if is_said(before));
+        self.step(Step::Pause(why));
+        if is_said {
+            return None;
         }
-        self.standing = said;
+        self.said = (reason.to_owned(), now_ns);
         // The end of the earlier work may have the same reason.
         let reason = if self.notice.why.contains(reason) { "The robot waits." } else { reason };
-        let decision = self.decision(now_ns, now_unix_ns, None, reason);
+        let decision = self.decision(None, reason);
         Some(DecisionV1 { action: action::PAUSE, ..decision })
     }
 
-    pub(super) fn go(
-        &mut self,
-        room: usize,
-        stay_ns: u64,
-        reason: &str,
-        now_ns: BootNs,
-        now_unix_ns: UnixNs,
-    ) -> DecisionV1 {
-        let decision = self.decision(now_ns, now_unix_ns, Some(room), reason);
+    pub(super) fn go(&mut self, room: usize, stay_ns: u64, reason: &str) -> DecisionV1 {
+        let decision = self.decision(Some(room), reason);
         if self.decisions.len() == DECISIONS {
             self.decisions.pop_front();
         }
         self.decisions.push_back((decision.sequence, decision.to));
-        self.standing = Standing::Free;
+        self.step(Step::Go);
         DecisionV1 { action: action::GO, stay_ns, ..decision }
     }
 
@@ -74,13 +63,8 @@ impl Planner {
         self.interruption.new_stay(likely.map(|likely| (room, likely)));
     }
 
-    pub(super) fn decision(
-        &mut self,
-        now_ns: BootNs,
-        now_unix_ns: UnixNs,
-        to: Option<usize>,
-        reason: &str,
-    ) -> DecisionV1 {
+    pub(super) fn decision(&mut self, to: Option<usize>, reason: &str) -> DecisionV1 {
+        let (now_ns, now_unix_ns) = self.clock;
         self.sequence += 1;
         let Notice { cancels, flags, why } = std::mem::take(&mut self.notice);
         let covered = self.round.covered().iter().take(64).enumerate();

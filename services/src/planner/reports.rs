@@ -65,7 +65,8 @@ impl Planner {
             return self.take_order(report);
         }
         self.robot.hear(at_ns);
-        if is_of_work(report.kind) || report.kind == report_kind::DOCKED {
+        let is_of_work = is_of_work(report.kind);
+        if is_of_work || report.kind == report_kind::DOCKED {
             self.robot.note_told(report.epoch, report.sequence);
         }
         if let Some(battery) = report.battery() {
@@ -76,7 +77,7 @@ impl Planner {
         let (named, placed) = (named.flatten(), placed.flatten());
         let answered = (report.decision_sequence > 0).then_some((report.decision_epoch, report.decision_sequence));
         // An unknown room must not count as the current one. An answered decision gives the room.
-        if let Some(fault) = named_fault.clone().filter(|_| answered.is_none() && is_of_work(report.kind)) {
+        if let Some(fault) = named_fault.clone().filter(|_| answered.is_none() && is_of_work) {
             return Err(fault);
         }
         let told = answered.and_then(|decision| self.room_of_decision(decision));
@@ -89,44 +90,32 @@ impl Planner {
             Some(decision) => work.answers(decision) || work.decisions.is_empty() && named == Some(work.room),
             None => at_ns >= work.began_ns && room.is_none_or(|room| room == work.room),
         });
-        let unknown = answered.filter(|_| told.is_none() && !of_work && named.is_none() && is_of_work(report.kind));
+        let unknown = answered.filter(|_| told.is_none() && !of_work && named.is_none() && is_of_work);
         let unknown_fault = unknown.map(|(_, decision)| ReportFault::UnknownDecision { decision });
         let room = room.or(work.filter(|_| of_work).map(|work| work.room));
         // Reports from before this round do not count: a planner that joins receives the last reports, of any age.
         let in_round = room.filter(|_| self.round.began_ns.is_some_and(|began_ns| at_ns >= began_ns));
+        self.robot.reports_work |= is_of_work;
         match report.kind {
             report_kind::POSITION => {
                 if let Some(place) = placed.or(named.map(Some)) {
                     self.robot.be(place, at_ns);
                 }
             }
-            report_kind::STARTED => {
-                self.robot.reports_work = true;
+            report_kind::STARTED | report_kind::FINISHED => {
                 self.robot.is_well();
                 self.robot.leave_dock();
                 self.robot.be(placed.unwrap_or(room), at_ns);
-                self.start(room, answered, of_work, at_ns, now_ns);
-            }
-            report_kind::FINISHED => {
-                self.robot.reports_work = true;
-                self.robot.is_well();
-                self.robot.leave_dock();
-                self.robot.be(placed.unwrap_or(room), at_ns);
-                if let Some(room) = in_round {
-                    self.cover(room, at_ns);
-                }
-                if of_work {
-                    self.robot.work = None;
+                if report.kind == report_kind::STARTED {
+                    self.start(room, answered, of_work, at_ns, now_ns);
+                } else {
+                    in_round.into_iter().for_each(|room| self.cover(room, at_ns));
+                    self.robot.work.take_if(|_| of_work);
                 }
             }
             report_kind::FAILED | report_kind::BLOCKED | report_kind::CANCELLED => {
-                self.robot.reports_work = true;
-                if let Some(place) = placed {
-                    self.robot.be(place, at_ns);
-                }
-                if let Some(room) = in_round {
-                    self.round.fail(room, at_ns);
-                }
+                placed.into_iter().for_each(|place| self.robot.be(place, at_ns));
+                in_round.into_iter().for_each(|room| self.round.fail(room, at_ns));
                 if of_work && let Some(work) = self.robot.work.take() {
                     if report.kind == report_kind::FAILED && !work.started {
                         self.robot.refuse(at_ns);
@@ -135,22 +124,25 @@ impl Planner {
                 }
             }
             report_kind::DOCKED => {
-                self.robot.dock();
-                self.robot.is_well();
                 self.robot.be(placed.unwrap_or(named), at_ns);
-                // A robot also reports that it is docked before it leaves.
-                let gives_up = |work: &Work| at_ns >= work.began_ns && (work.started || answered.is_some() && of_work);
-                if let Some(work) = self.robot.work.take_if(|work| gives_up(work) || self.robot.charges) {
-                    // A robot that only waited has not failed.
-                    if !work.waits {
-                        self.round.fail(work.room, at_ns);
-                    }
-                }
+                self.dock(at_ns, answered.is_some() && of_work);
             }
             // The battery was handled above. Unknown kinds have no effect.
             _ => {}
         }
         named_fault.or(placed_fault).or(unknown_fault).map_or(Ok(()), Err)
+    }
+
+    fn dock(&mut self, at_ns: BootNs, is_answer: bool) {
+        self.robot.dock();
+        self.robot.is_well();
+        // A robot also reports that it is docked before it leaves.
+        let gives_up = |work: &Work| at_ns >= work.began_ns && (work.started || is_answer);
+        let work = self.robot.work.take_if(|work| gives_up(work) || self.robot.charges);
+        // A robot that only waited has not failed.
+        if let Some(work) = work.filter(|work| !work.waits) {
+            self.round.fail(work.room, at_ns);
+        }
     }
 
     /// Ends work that this planner ordered, for a person's order.

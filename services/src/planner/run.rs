@@ -7,7 +7,7 @@ use roomcast_core::ids::BootNs;
 use roomcast_ipc::raw::{
     DecisionV1, ForecastV1, Message, PersonForecastsV1, RobotReportV1, RoomScoresV1, decision_flags, report_kind,
 };
-use roomcast_ipc::{Awaited, Domain, IpcError, Publisher, sequence};
+use roomcast_ipc::{Awaited, Domain, IpcError, Publisher, Subscriber, sequence};
 use sd_notify::NotifyState;
 
 use super::state::Database;
@@ -35,8 +35,6 @@ const QUIET_NS: u64 = 5_000_000_000;
 ///
 /// [`IpcError`] when a service cannot be opened or is lost.
 pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError> {
-    // Decisions name the robot by this number.
-    let number = sequence::source_of_name(&config.planner.robot);
     let node = join(domain, &PLANNER.name(&config.planner.robot))?.be_the_only_one()?;
     let scores = node.subscriber::<RoomScoresV1>()?;
     let forecasts = node.subscriber::<ForecastV1>()?;
@@ -45,26 +43,17 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let others = config.planner.avoid_robots.then(|| node.subscriber::<DecisionV1>()).transpose()?;
     let reports = node.subscriber::<RobotReportV1>()?;
     let decisions = node.publisher::<DecisionV1>()?;
-    let mut planner = Planner::new(&config.planner, sequence::random_epoch());
-    planner = planner.with_home(&config.persons.residents, Zone::local());
-    match setup::load_map(config.scene.path.as_deref()) {
-        Ok(map) => planner = planner.with_map(map, config.grounding.level),
-        Err(error) => tracing::warn!(%error, "without the scene, reports and rules have to name rooms by their ids"),
-    }
+    // Decisions name the robot by this number.
+    let number = sequence::source_of_name(&config.planner.robot);
     let mut database = config.daemon.state_directory().map(|directory| Database::new(&directory, number));
-    if let Some(database) = &mut database {
-        planner = planner.with_orders(database.orders());
-        if let Some(round) = database.round() {
-            planner = planner.with_kept(round);
-        }
-    }
+    let mut planner = restored(config, database.as_mut());
     let mut log = Limiter::new(QUIET_NS);
     // At the start the scores need a moment to arrive, so their absence counts only after the deadline.
     let patience_ns = clock::monotonic_ns().saturating_add(config.planner.deadline_ms.saturating_mul(1_000_000));
     let (mut snapshot, mut forecast) = (Box::<RoomScoresV1>::default(), Box::<ForecastV1>::default());
     let mut each = Box::<PersonForecastsV1>::default();
-    let (mut report, mut other) = (RobotReportV1::default(), DecisionV1::default());
-    let (mut early, mut awake) = (VecDeque::<RobotReportV1>::new(), Awake::new(config.ipc.spin_us));
+    let mut other = DecisionV1::default();
+    let (mut early, mut awake) = (VecDeque::new(), Awake::new(config.ipc.spin_us));
     // If two robots go to one room, one of them must leave at once.
     let mut awaited: Vec<&dyn Awaited> = vec![&scores, &reports];
     awaited.extend(others.iter().map(|others| others as &dyn Awaited));
@@ -111,35 +100,8 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
                 planner.take_other(&other, clock::monotonic_ns());
             }
         }
-        while let Some((robot, room)) = planner.robot_of_another_map() {
-            let robot = format!("{robot:016x}");
-            tracing::warn!(
-                robot,
-                room,
-                "another robot goes to a room that the map in use does not have, so that it is not kept clear of: give both robots one map, or rooms of the same ids"
-            );
-        }
-        let unknown = planner.rooms_not_on_the_map();
-        if !unknown.is_empty() {
-            let rooms = unknown.join(", ");
-            tracing::warn!(
-                rooms,
-                "quiet hours or rooms of [planner] name rooms that the map does not have, and have no effect there: give a room's id or name"
-            );
-        }
-        // A reporter may leave at once, so reports are taken from the port even though the rooms are known only with the first scores.
-        while receive(&reports, &mut report, &mut log)? {
-            if early.len() == RobotReportV1::SERVICE.buffer {
-                // Repeated kinds of reports make way for the others.
-                let again =
-                    early.iter().position(|known| matches!(known.kind, report_kind::BATTERY | report_kind::POSITION));
-                early.remove(again.unwrap_or(0));
-            }
-            early.push_back(report);
-        }
-        if planner.knows_rooms() {
-            early.drain(..).for_each(|report| take_report(&mut planner, &report, &mut log));
-        }
+        warn_of_rooms(&mut planner);
+        take_reports(&mut planner, &reports, &mut early, &mut log)?;
         let now_ns = clock::monotonic_ns();
         if planner.stale(now_ns) != decision_flags::NO_SCORES || now_ns >= patience_ns {
             decide(&mut planner, now_ns, &decisions, &mut log)?;
@@ -153,6 +115,63 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     }
     notify(&[NotifyState::Stopping]);
     tracing::info!("stopped");
+    Ok(())
+}
+
+fn restored(config: &Config, database: Option<&mut Database>) -> Planner {
+    let mut planner = Planner::new(&config.planner, sequence::random_epoch());
+    planner = planner.with_home(&config.persons.residents, Zone::local());
+    match setup::load_map(config.scene.path.as_deref()) {
+        Ok(map) => planner = planner.with_map(map, config.grounding.level),
+        Err(error) => tracing::warn!(%error, "without the scene, reports and rules have to name rooms by their ids"),
+    }
+    let Some(database) = database else { return planner };
+    planner = planner.with_orders(database.orders());
+    match database.round() {
+        Some(round) => planner.with_kept(round),
+        None => planner,
+    }
+}
+
+fn warn_of_rooms(planner: &mut Planner) {
+    while let Some((robot, room)) = planner.robot_of_another_map() {
+        let robot = format!("{robot:016x}");
+        tracing::warn!(
+            robot,
+            room,
+            "another robot goes to a room that the map in use does not have, so that it is not kept clear of: give both robots one map, or rooms of the same ids"
+        );
+    }
+    let unknown = planner.rooms_not_on_the_map();
+    if !unknown.is_empty() {
+        let rooms = unknown.join(", ");
+        tracing::warn!(
+            rooms,
+            "quiet hours or rooms of [planner] name rooms that the map does not have, and have no effect there: give a room's id or name"
+        );
+    }
+}
+
+/// A reporter may leave at once, so reports are taken from the port even though the rooms are known only with the first scores.
+fn take_reports(
+    planner: &mut Planner,
+    reports: &Subscriber<RobotReportV1>,
+    early: &mut VecDeque<RobotReportV1>,
+    log: &mut Limiter,
+) -> Result<(), IpcError> {
+    let mut report = RobotReportV1::default();
+    while receive(reports, &mut report, log)? {
+        if early.len() == RobotReportV1::SERVICE.buffer {
+            // Repeated kinds of reports make way for the others.
+            let is_repeated =
+                |known: &RobotReportV1| matches!(known.kind, report_kind::BATTERY | report_kind::POSITION);
+            early.remove(early.iter().position(is_repeated).unwrap_or(0));
+        }
+        early.push_back(report);
+    }
+    if planner.knows_rooms() {
+        early.drain(..).for_each(|report| take_report(planner, &report, log));
+    }
     Ok(())
 }
 

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::orders::Orders;
 use super::robot::{REST_NS, Work};
-use super::{Planner, Standing};
+use super::{Planner, Step};
 use crate::clock;
 use crate::kept::Kept;
 
@@ -147,7 +147,7 @@ impl Planner {
             self.interruption.go_on(work.room, kept.alone);
         }
         if robot.work.is_some() {
-            self.standing = Standing::Resumes;
+            self.phase = self.phase.after(Step::Restore);
         }
         robot.reports_work = kept.reports_work;
         robot.restore_told(&kept.told);

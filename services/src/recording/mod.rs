@@ -302,6 +302,7 @@ fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
+/// Long, because it is a list: each kind of message with its fields.
 fn schemas() -> [(&'static str, &'static str, Value); 7] {
     let object = |title: &str, properties: Value| {
         let mut properties = properties;

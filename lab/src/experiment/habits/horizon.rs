@@ -3,7 +3,7 @@
 use super::predictors::{MIXTURE, MODEL, Others, PERSISTENCE, STAY, WITHOUT_MODEL, normalise, staying};
 use super::tally::Tally;
 use super::{CHAINS, HORIZONS_S, PREDICTORS};
-use roomcast_core::habits::{AdaptiveSets, Issued, SetOptions};
+use roomcast_core::habits::{AdaptiveSets, SetOptions};
 use roomcast_simulation::trace::Trace;
 use std::collections::VecDeque;
 
@@ -14,7 +14,7 @@ pub(super) struct Waiting {
     place: u32,
     before: Vec<u32>,
     predicted: Vec<Vec<f64>>,
-    issued: [Issued; 3],
+    thresholds: [f64; 3],
 }
 
 /// One horizon: pending forecasts, other predictors, and sets.
@@ -54,10 +54,10 @@ impl Horizon {
             let [mixture, shipped] = [MIXTURE, MODEL].map(|predictor| &waiting.predicted[predictor]);
             for (which, p) in [mixture, shipped, mixture].into_iter().enumerate() {
                 let mut set = Vec::new();
-                self.sets[which].set(p, waiting.issued[which], &mut set);
+                self.sets[which].set(p, waiting.thresholds[which], &mut set);
                 self.held[which] += f64::from(u8::from(set[truth]));
                 self.size[which] += set.iter().filter(|held| **held).count() as f64;
-                self.sets[which].learn(p, waiting.issued[which], truth);
+                self.sets[which].learn(p[truth], waiting.thresholds[which]);
             }
             self.moments += 1.0;
             self.others.turned += 1.0;
@@ -88,7 +88,14 @@ impl Horizon {
             normalise(&mut predicted[predictor]);
         }
         let due_s = now_s + self.horizon_s;
-        let issued = std::array::from_fn(|which| self.sets[which].issue());
-        self.waiting.push_back(Waiting { due_s, day, place: here as u32, before: before.to_vec(), predicted, issued });
+        let thresholds = std::array::from_fn(|which| self.sets[which].threshold());
+        self.waiting.push_back(Waiting {
+            due_s,
+            day,
+            place: here as u32,
+            before: before.to_vec(),
+            predicted,
+            thresholds,
+        });
     }
 }

@@ -22,7 +22,7 @@ pub struct HabitRows {
     /// Time spent was counted until then, in seconds since 1970, local time.
     watched_until_s: f64,
     /// By kind and number, each with the minute when it was last seen.
-    names: BTreeMap<(usize, u32), (String, u32)>,
+    names: BTreeMap<(usize, u32), String>,
     /// Models of persons as JSON, by number.
     persons: BTreeMap<u32, String>,
     /// Each with the minute of its last change.
@@ -41,7 +41,7 @@ impl HabitRows {
     pub fn of(memory: &Memory) -> serde_json::Result<Self> {
         let Stored { version, objects, places, persons, rows } = memory.habits.stored();
         let names = [objects, places].into_iter().enumerate().flat_map(|(kind, names)| {
-            (0..).zip(names).map(move |(number, StoredName { name, seen_min })| ((kind, number), (name, seen_min)))
+            (0..).zip(names).map(move |(number, StoredName { name })| ((kind, number), name))
         });
         let persons = persons.iter().map(|person| Ok((person.number, serde_json::to_string(person)?)));
         let counts = rows.into_iter().flat_map(|StoredRow { kind, slot, after, touched_min, counts }| {
@@ -67,8 +67,8 @@ impl HabitRows {
             return Err("their checksum is wrong".to_owned());
         }
         let [mut objects, mut places] = [Vec::new(), Vec::new()];
-        for ((kind, _), (name, seen_min)) in self.names {
-            if kind == 0 { &mut objects } else { &mut places }.push(StoredName { name, seen_min });
+        for ((kind, _), name) in self.names {
+            if kind == 0 { &mut objects } else { &mut places }.push(StoredName { name });
         }
         let mut rows = Vec::<StoredRow>::new();
         for ((kind, slot, after, symbol), (count, touched_min)) in self.counts {
@@ -88,9 +88,9 @@ impl HabitRows {
     /// Writes the rows that differ from the `before` ones.
     pub(super) fn write(&self, transaction: &Transaction<'_>, before: &Self) -> Result<()> {
         let mut delete = transaction.prepare_cached("DELETE FROM habit_name WHERE kind = ?1 AND number = ?2")?;
-        let mut write = transaction.prepare_cached("INSERT OR REPLACE INTO habit_name VALUES (?1, ?2, ?3, ?4)")?;
+        let mut write = transaction.prepare_cached("INSERT OR REPLACE INTO habit_name VALUES (?1, ?2, ?3)")?;
         changes(&before.names, &self.names, |(kind, number), name| match name {
-            Some((name, seen_min)) => write.execute(params![KINDS[*kind], number, name, seen_min]),
+            Some(name) => write.execute(params![KINDS[*kind], number, name]),
             None => delete.execute(params![KINDS[*kind], number]),
         })?;
         let mut delete = transaction.prepare_cached("DELETE FROM habit_person WHERE person = ?1")?;
@@ -157,10 +157,8 @@ impl HabitRows {
         let Some(version) = meta.query_row(["habits_version"], |row| row.get(0)).optional()? else { return Ok(None) };
         let watched_until_s = meta.query_row(["habits_until_s"], |row| row.get(0)).optional()?;
         let checksum = meta.query_row(["habits_checksum"], |row| row.get::<_, u32>(0)).optional()?;
-        let mut query = transaction.prepare("SELECT kind = 'place', number, name, seen_min FROM habit_name")?;
-        let names = query.query_map([], |row| {
-            Ok(((usize::from(row.get::<_, bool>(0)?), row.get(1)?), (row.get(2)?, row.get(3)?)))
-        })?;
+        let mut query = transaction.prepare("SELECT kind = 'place', number, name FROM habit_name")?;
+        let names = query.query_map([], |row| Ok(((usize::from(row.get::<_, bool>(0)?), row.get(1)?), row.get(2)?)))?;
         let names = names.collect::<Result<_>>()?;
         let mut query = transaction.prepare("SELECT person, model FROM habit_person")?;
         let persons = query.query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?.collect::<Result<_>>()?;

@@ -62,7 +62,9 @@ impl Reader<'_> {
         let length = self.long()? as usize;
         let (name, rest) = self.0.split_at_checked(length)?;
         self.0 = rest;
-        Some(json!({"name": std::str::from_utf8(name).ok()?, "seen_min": self.long()?}))
+        // The minute when it was last seen.
+        self.long()?;
+        Some(json!({"name": std::str::from_utf8(name).ok()?}))
     }
 
     fn anchor(&mut self) -> Option<Value> {
@@ -151,11 +153,14 @@ mod tests {
             }
             ("slot" | "kind", number) => out.push(u8::try_from(number.as_u64().unwrap()).unwrap()),
             ("after", number) => out.extend(u16::try_from(number.as_u64().unwrap()).unwrap().to_le_bytes()),
-            ("number" | "seen_min" | "touched_min", number) => {
+            ("number" | "touched_min", number) => {
                 out.extend(u32::try_from(number.as_u64().unwrap()).unwrap().to_le_bytes());
             }
             ("score", number) => out.extend((number.as_f64().unwrap() as f32).to_le_bytes()),
-            ("object" | "place", name) => ["name", "seen_min"].iter().for_each(|key| write(out, key, &name[key])),
+            ("object" | "place", name) => {
+                write(out, "name", &name["name"]);
+                out.extend([0; 4]);
+            }
             ("person", person) => {
                 ["number", "slot", "observations"].iter().for_each(|key| write(out, key, &person[key]));
                 out.extend([0; 16]);
