@@ -264,8 +264,8 @@ pub fn teach<M: LanguageModel>(
 
 #[cfg(test)]
 mod tests {
-    use roomcast_core::grounding::{Grounding, GroundingOptions};
-    use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+    use roomcast_core::grounding::GroundingOptions;
+    use roomcast_core::pipeline::Pipeline;
     use roomcast_core::scorer::table::TableModel;
     use roomcast_core::semantic_map::SemanticMap;
     use roomcast_ipc::raw::narration_kind;
@@ -276,11 +276,9 @@ mod tests {
     /// The real model would take long; this one has invented scores.
     fn engine() -> Engine<TableModel> {
         let map = SemanticMap::from_json(include_str!("../../tests/data/two_rooms.json")).unwrap();
-        let options = GroundingOptions::default();
-        let grounding = Grounding::new(&map, &options).unwrap();
-        let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
+        let pipeline = Pipeline::of(&map, TableModel::new(7)).unwrap();
         let home = HomeHabits::new(Memory::new(HabitsOptions::default()), Zone::UTC);
-        Engine::new(pipeline, map, options, 1).unwrap().with_habits(home)
+        Engine::new(pipeline, map, GroundingOptions::default(), 1).unwrap().with_habits(home)
     }
 
     fn item(at_s: u64, text: &str) -> Item {

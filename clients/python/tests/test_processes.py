@@ -6,7 +6,6 @@ import json
 import pathlib
 import re
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 
@@ -515,41 +514,6 @@ def test_a_narrator_is_heard_and_a_planner_sees_the_same_scores(daemon: Domain) 
         assert not [room for room in seen.rooms if not room.id]
 
 
-def test_what_is_no_narration_counts_as_dropped_once_something_follows(daemon: Domain) -> None:
-    narrator = Narrator("py-narrator", daemon)
-    narrator.act("[Juggle] <mug> (1)")
-    while not status(daemon).malformed:
-        assert narrator.wait_until_included(0.1) is None
-    assert (narrator.under_way, narrator.dropped) == (1, 0)
-    narrator.say("They walk to the kitchen.")
-    with pytest.raises(NotIncludedError, match="has not taken 1 of 2 narrations"):
-        narrator.wait_until_included(20)
-    assert (narrator.under_way, narrator.dropped) == (0, 1)
-
-
-def test_a_late_planner_has_the_scores_at_once(daemon: Domain) -> None:
-    with Narrator("py-narrator", daemon) as narrator:
-        narrator.say("They walk to the bathroom.")
-        assert narrator.wait_until_included(20)
-        with Planner("late", daemon) as planner:
-            started = time.monotonic()
-            assert next(planner.scores(timeout_s=5)).included[0].sequence == 1
-            print(f"late joiner: {time.monotonic() - started:.3f} s", file=sys.stderr)
-
-
-def test_the_rust_command_line_agrees(daemon: Domain) -> None:
-    """The daemon's numbers for one narration are those of `roomcast score`."""
-    with Narrator("py-narrator", daemon) as narrator:
-        narrator.say("They open the fridge.")
-        heard = narrator.wait_until_included(20)
-    assert heard is not None
-    printed = subprocess.run(
-        [ROOMCAST, "score", "--narration", "They open the fridge.", "--json"], capture_output=True, text=True, check=True
-    )
-    once = {p["id"]: p["probability"] for p in json.loads(printed.stdout)["partitions"]}
-    assert {room.id: room.probability for room in heard.rooms} == pytest.approx(once, abs=5e-3)
-
-
 def test_the_map_is_changed_and_the_moment_told(daemon: Domain) -> None:
     with Narrator("py-narrator", daemon) as narrator:
         narrator.say("They open the fridge.")
@@ -646,22 +610,3 @@ def test_every_kind_can_be_followed(daemon: Domain) -> None:
         first, second = statuses.next(10), statuses.next(10)
         assert first is not None and second is not None and second.answered_ns > first.answered_ns
         assert (second.accepted, second.malformed, second.map_fingerprint) == (1, 0, told.map)
-
-
-def test_the_daemon_counts_what_python_would_refuse(daemon: Domain) -> None:
-    """The same malformed narrations are refused on both sides."""
-    from test_messages import FAULTS
-
-    publisher = ports.Publisher(daemon.open("hostile"), ports.NARRATION)
-    faults = [change for kind, _, change, _ in FAULTS if kind is layouts.NarrationV1]
-    status(daemon, 20)
-    for change in faults:
-        message = samples.narration()
-        change(message)
-        publisher.send_unchecked(message)
-    deadline = time.monotonic() + 10
-    while (told := status(daemon)).malformed < len(faults):
-        assert time.monotonic() < deadline, told
-        publisher.tick()
-        time.sleep(0.1)
-    assert (told.malformed, told.accepted) == (len(faults), 0)

@@ -393,15 +393,6 @@ mod tests {
     }
 
     #[test]
-    fn without_slack_the_window_is_the_last_n() {
-        let mut history = History::new(HistoryLimits::exact(3));
-        let left: Vec<usize> = (0..5).map(|i| history.push(observation(PersonId(0), i), 5)).collect();
-        assert_eq!(left, [0, 0, 0, 1, 1]);
-        assert_eq!(sequences(&history), [2, 3, 4]);
-        assert_eq!(history.sentences().last(), Some("They do thing 4."));
-    }
-
-    #[test]
     fn with_slack_it_is_cut_back_seldom() {
         let mut history = History::new(HistoryLimits { observations: 3, slack: 2, tokens: 1000, gap_s: 0 });
         let left: Vec<usize> = (0..9).map(|i| history.push(observation(PersonId(0), i), 5)).collect();

@@ -486,63 +486,12 @@ fn each_person_has_the_same_weight_in_the_scores_of_labels() {
     for (label, nats) in both.scores().label_log_prob_nats.iter().enumerate() {
         let share = |own: PersonScores| own.label_log_prob_nats[label].exp() / own.grounded.label_mass;
         let expected = (mass[0] + mass[1]) / 2.0 * (share(own[0]) + share(own[1])) / 2.0;
-        assert!((nats.exp() - expected).abs() < 1e-12, "{label}: {nats} {expected}");
+        assert!((nats - expected.ln()).abs() < 1e-9, "{label}: {nats} {expected}");
     }
 }
 
 fn presence(sequence: u64, person: PersonId, text: &str) -> Observation {
     Observation { event: Event::presence(text).unwrap(), ..observation(sequence, person) }
-}
-
-/// Absent persons are in no room and do not affect others. Their earlier events do not count after they return.
-#[test]
-fn who_is_away_is_in_no_room() {
-    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
-    let fresh = || pipeline(&map, Effort::Exact, CORRECTED);
-    let mut both = fresh();
-    both.step([observation(1, PersonId(0)), observation(2, PersonId(1))]).unwrap();
-    both.step([presence(3, PersonId(0), "away")]).unwrap();
-    let away = both.inside().person(PersonId(0)).unwrap();
-    assert!(!away.at_home && away.window == 0 && away.grounded.partition_probability == [0.0; 2]);
-    assert_eq!(away.lower_log_score_nats, [f64::NEG_INFINITY; 2]);
-    let mut alone = fresh();
-    alone.step([observation(2, PersonId(1))]).unwrap();
-    assert_eq!(both.scores().label_log_prob_nats, alone.scores().label_log_prob_nats);
-    assert_eq!(both.scores().grounded.partition_probability, alone.scores().grounded.partition_probability);
-    // If all persons are out, no room is likely.
-    both.step([presence(4, PersonId(1), "away")]).unwrap();
-    let nobody = both.scores();
-    assert_eq!(nobody.grounded.partition_probability, [0.0; 2]);
-    assert_eq!(nobody.grounded.partition_log_score_nats, [f64::NEG_INFINITY; 2]);
-    assert!(nobody.grounded.label_mass == 0.0 && nobody.included.len() == 1 && nobody.included[0].sequence == 4);
-    assert!(both.inside().token_log_prob_nats(0).is_none());
-    // After the return, the person is like a new one.
-    both.step([presence(5, PersonId(0), "present in the kitchen")]).unwrap();
-    let unknown = fresh().score().unwrap().grounded.partition_probability.clone();
-    assert_eq!(both.scores().grounded.partition_probability, unknown);
-    both.step([presence(6, PersonId(1), "gone")]).unwrap();
-    assert_eq!(both.persons().map(|own| own.person).collect::<Vec<_>>(), [PersonId(0)]);
-}
-
-/// A long silence ends a window, and the person is scored once more.
-#[test]
-fn what_lies_hours_back_leaves_the_prompt() {
-    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
-    let mut silent = pipeline(&map, Effort::Exact, CORRECTED);
-    let mut unknown = pipeline(&map, Effort::Exact, CORRECTED);
-    silent.step([observation(1, PersonId(0)), observation(2, PersonId(0))]).unwrap();
-    assert!(
-        silent.intake().end_window(PersonId(0))
-            && !silent.intake().end_window(PersonId(0))
-            && !silent.intake().end_window(PersonId(1))
-    );
-    silent.score().unwrap();
-    unknown.score().unwrap();
-    assert_eq!(silent.inside().person(PersonId(0)).unwrap().window, 0);
-    assert_eq!(silent.scores().grounded.partition_probability, unknown.scores().grounded.partition_probability);
-    assert_eq!(silent.scores().stats.calls, 1, "one person was scored");
-    silent.score().unwrap();
-    assert_eq!(silent.scores().stats.calls, 0, "and once");
 }
 
 fn values(scores: PersonScores) -> (Vec<u64>, Effort) {

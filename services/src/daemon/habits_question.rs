@@ -246,10 +246,10 @@ fn visits<M: LanguageModel>(engine: &Engine<M>) -> Vec<VisitsLine> {
 
 #[cfg(test)]
 mod tests {
-    use roomcast_core::grounding::{Grounding, GroundingOptions};
+    use roomcast_core::grounding::GroundingOptions;
     use roomcast_core::habits::{Habits, HabitsOptions, Place};
     use roomcast_core::narration::person_number;
-    use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+    use roomcast_core::pipeline::Pipeline;
     use roomcast_core::scorer::table::TableModel;
     use roomcast_core::semantic_map::SemanticMap;
 
@@ -277,10 +277,8 @@ mod tests {
 
     fn engine(memory: Memory) -> Engine<TableModel> {
         let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
-        let options = GroundingOptions::default();
-        let grounding = Grounding::new(&map, &options).unwrap();
-        let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
-        let engine = Engine::new(pipeline, map, options, 1).unwrap();
+        let pipeline = Pipeline::of(&map, TableModel::new(7)).unwrap();
+        let engine = Engine::new(pipeline, map, GroundingOptions::default(), 1).unwrap();
         engine.with_habits(HomeHabits::new(memory, Zone::UTC))
     }
 

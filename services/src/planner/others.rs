@@ -126,27 +126,6 @@ mod tests {
     }
 
     #[test]
-    fn who_waits_makes_way_for_who_works_and_waits_where_nobody_is() {
-        let mut scores = RoomScoresV1 { room_count: 1, ..Default::default() };
-        scores.room[0].id = text::encode("id", "kitchen").unwrap();
-        let kitchen = scores.room[0].id;
-        let mut others = Others::new(5);
-        others.hear(&DecisionV1 { action: action::STAY, ..decision(9, 1, "kitchen") }, BootNs(S));
-        let taken =
-            |others: &Others| [false, true].map(|waiting_too| others.taken(&scores, waiting_too, BootNs(2 * S))[0]);
-        assert_eq!(taken(&others), [false, true], "open to work, and not to wait in");
-        let goes = |others: &Others| [false, true].map(|waits| others.go_before(&kitchen, waits, BootNs(2 * S)));
-        assert_eq!(goes(&others), [false, false], "its number is the greater one");
-        others.hear(&decision(9, 2, "kitchen"), BootNs(S));
-        assert_eq!((taken(&others), goes(&others)), ([true, true], [false, true]), "it works now");
-        others.hear(&DecisionV1 { action: action::PAUSE, ..decision(9, 3, "") }, BootNs(S));
-        others.hear(&DecisionV1 { action: action::STAY, ..decision(3, 1, "kitchen") }, BootNs(S));
-        assert_eq!((taken(&others), goes(&others)), ([false, true], [false, true]));
-        others.hear(&DecisionV1 { action: action::STAY, ..decision(3, 2, "") }, BootNs(S));
-        assert_eq!(taken(&others), [false, false], "where it waits is not said");
-    }
-
-    #[test]
     fn a_room_is_taken_until_its_robot_goes_elsewhere_or_its_time_is_over() {
         let mut scores = RoomScoresV1 { room_count: 2, ..Default::default() };
         scores.room[0].id = text::encode("id", "kitchen").unwrap();

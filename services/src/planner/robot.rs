@@ -246,29 +246,4 @@ mod tests {
         assert_eq!(heard, [true, true, true, false, false, false, true]);
         assert!((10..1000).all(|epoch| robot.is_new(epoch, 1)) && robot.reporters.len() == REPORTERS);
     }
-
-    #[test]
-    fn a_low_battery_keeps_the_robot_in_until_it_is_ready() {
-        let mut robot = Robot::new(&PlannerConfig::default());
-        for (battery, charges) in [(0.2, false), (0.14, true), (0.3, true), (0.5, false), (0.49, false)] {
-            robot.charge(battery);
-            assert_eq!(robot.charges, charges, "{battery}");
-        }
-        robot.dock();
-        assert_eq!(robot.why_it_charges().as_deref(), Some("the battery is at 49 %: the robot charges until 50 %"));
-        robot.leave_dock();
-        assert!(!robot.charges);
-        robot.charge(0.1);
-        robot.leave_dock();
-        assert!(robot.charges, "it works on its last reserve, and is not sent to more");
-        let mut lost = Robot::new(&PlannerConfig::default());
-        lost.hear(BootNs(5));
-        lost.charge(0.1);
-        assert!(!lost.give_up_charging(BootNs(14_400_000_000_004)) && lost.charges);
-        assert!(lost.give_up_charging(BootNs(14_400_000_000_005)) && !lost.charges && lost.silent);
-        assert!(!lost.give_up_charging(BootNs(u64::MAX)));
-        let mut unknown = Robot::new(&PlannerConfig::default());
-        unknown.dock();
-        assert_eq!(unknown.why_it_charges(), None);
-    }
 }

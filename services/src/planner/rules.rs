@@ -318,12 +318,6 @@ mod tests {
     }
 
     #[test]
-    fn a_home_without_rules_allows_every_room() {
-        let config = PlannerConfig::default();
-        assert!((0..3).all(|room| allowed(room, at(3.0), &facts(&config)) == Ok(())));
-    }
-
-    #[test]
     fn quiet_hours_end_work_and_stop_stays_that_would_reach_into_them() {
         let config = quiet("22:00-07:00");
         let facts = facts(&config);

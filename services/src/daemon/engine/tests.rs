@@ -31,10 +31,8 @@ const TWO_ROOMS: &str = include_str!("../../../../tests/data/two_rooms.json");
 
 fn engine() -> Engine<TableModel> {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
-    let options = GroundingOptions::default();
-    let grounding = Grounding::new(&map, &options).unwrap();
-    let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
-    Engine::new(pipeline, map, options, 1).unwrap()
+    let pipeline = Pipeline::of(&map, TableModel::new(7)).unwrap();
+    Engine::new(pipeline, map, GroundingOptions::default(), 1).unwrap()
 }
 
 fn observation(person: PersonId, at_ns: u64, sentence: &str) -> Observation {
@@ -120,80 +118,6 @@ proptest! {
                 let of = |ahead: &PersonForecastsV1| *ahead.persons().iter().find(|own| own.person == person).unwrap();
                 prop_assert_eq!(of(&ahead).probability, of(&ahead_alone).probability);
                 prop_assert_eq!(of(&ahead).elsewhere, of(&ahead_alone).elsewhere);
-            }
-        }
-    }
-}
-
-/// Events of an unknown narrator, also with the source of a named one, change neither "she" nor the attribution of unnamed events of a named
-/// narrator.
-#[test]
-fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
-    const NAMED: u64 = 7;
-    let config = || PersonsConfig {
-        residents: vec!["ada".to_owned(), "ben".to_owned()],
-        guard_s: 600.0,
-        ..PersonsConfig::default()
-    };
-    let home = || engine().with_persons(Persons::new(config(), PersonsFile::default())).with_named([(NAMED, May::ALL)]);
-    let strange_voice = Quota { number: OTHERS, share: 1 };
-    let told = |quota: Quota, source: u64, epoch: u64, at_s: u64, sentence: &str| {
-        let event = event_of(narration_kind::SENTENCE, sentence).unwrap();
-        let whole = Observation { source, epoch, event, ..observation(PersonId::SOMEBODY, at_s * S, "They sit.") };
-        Entry { quota, ..Entry::new(whole, BootNs(at_s * S)) }
-    };
-    let own = |at_s: u64, sentence: &str| told(Quota { number: NAMED, share: 1 }, NAMED, 1, at_s, sentence);
-    let of = |engine: &Engine<TableModel>| {
-        let read: Vec<_> =
-            engine.pipeline().inside().read_sentences().map(|(person, said)| (person, said.to_owned())).collect();
-        let persons = &engine.persons();
-        let ours = ["ada", "ben"].map(|who| persons.number_of(who));
-        let presences = ours.map(|number| persons.get(number).map(|known| known.presence));
-        (read.into_iter().filter(|(person, _)| ours.contains(person)).collect::<Vec<_>>(), presences)
-    };
-    for strange in [
-        "Ben sits on the sofa.",
-        "Carl opens the fridge.",
-        "Carl walks to the kitchen.",
-        "Carl and Eve sit on the sofa.",
-        "They open the front door.",
-        "Carl opens the front door.",
-        "Carl leaves the house.",
-    ] {
-        for (source, epoch) in [(NAMED, 9), (9, 1)] {
-            for said in [
-                "She takes the mug.",
-                "They take the mug.",
-                "They walk to the sofa.",
-                "away",
-                "Both leave.",
-                "The oven is off.",
-                "They come home.",
-            ] {
-                let (mut with, mut without) = (home(), home());
-                for engine in [&mut with, &mut without] {
-                    for entry in [own(1000, "Ben sits on the sofa."), own(1010, "Ada opens the fridge.")] {
-                        let at_ns = entry.received_ns;
-                        engine.step([entry], at_ns, UnixNs(1_000_000 * S + at_ns.0)).unwrap();
-                    }
-                }
-                let entry = told(strange_voice, source, epoch, 1020, strange);
-                with.step([entry], BootNs(1020 * S), UnixNs(1_001_020 * S)).unwrap();
-                without.step([], BootNs(1020 * S), UnixNs(1_001_020 * S)).unwrap();
-                for engine in [&mut with, &mut without] {
-                    let entry = match said {
-                        "away" => Entry {
-                            observation: Observation {
-                                event: event_of(narration_kind::PRESENCE, said).unwrap(),
-                                ..own(1025, "They sit.").observation
-                            },
-                            ..own(1025, "They sit.")
-                        },
-                        _ => own(1025, said),
-                    };
-                    engine.step([entry], BootNs(1025 * S), UnixNs(1_001_025 * S)).unwrap();
-                }
-                assert_eq!(of(&with), of(&without), "{strange} by {source}, then {said}");
             }
         }
     }
@@ -335,11 +259,9 @@ impl LanguageModel for Failing {
 
 fn failing_board(failures: &Rc<Cell<u32>>) -> Engine<Failing> {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
-    let options = GroundingOptions::default();
-    let grounding = Grounding::new(&map, &options).unwrap();
     let model = Failing { table: TableModel::new(7), failures: Rc::clone(failures) };
-    let pipeline = Pipeline::new(model, grounding, PipelineOptions::default()).unwrap();
-    Engine::new(pipeline, map, options, 1).unwrap()
+    let pipeline = Pipeline::of(&map, model).unwrap();
+    Engine::new(pipeline, map, GroundingOptions::default(), 1).unwrap()
 }
 
 #[test]
@@ -468,16 +390,6 @@ fn a_failed_step_loses_neither_gap_nor_latency() {
     assert_eq!(snapshot.flags, score_flags::GAP);
     assert_eq!(engine.step([], BootNs(6 * S), UnixNs(6 * S)).unwrap(), None);
     assert_eq!((engine.snapshot().received_ns, engine.snapshot().wait_ns, engine.snapshot().flags), (2 * S, 0, 0));
-}
-
-#[test]
-fn what_is_not_known_is_flagged() {
-    let mut engine = engine();
-    engine.step([], BootNs(S), UnixNs(S)).unwrap();
-    assert_eq!(engine.forecast(BootNs(S)).flags, forecast_flags::NOT_KNOWN);
-    assert_eq!(engine.forecast(BootNs(S)).probability[0][0], 0.5);
-    engine.step([entry(PersonId(0), 2 * S, "They stand up.")], BootNs(2 * S), UnixNs(2 * S)).unwrap();
-    assert_eq!(engine.forecast(BootNs(2 * S)).flags, 0);
 }
 
 #[test]
@@ -694,10 +606,8 @@ fn a_room_that_is_added_makes_nobody_leave_theirs() {
 
 fn slow_board() -> Engine<TableModel> {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
-    let options = GroundingOptions::default();
-    let grounding = Grounding::new(&map, &options).unwrap();
-    let pipeline = Pipeline::new(TableModel::slow(7), grounding, PipelineOptions::default()).unwrap();
-    Engine::new(pipeline, map, options, 1).unwrap()
+    let pipeline = Pipeline::of(&map, TableModel::slow(7)).unwrap();
+    Engine::new(pipeline, map, GroundingOptions::default(), 1).unwrap()
 }
 
 /// The limit is 5 ms, and the model takes 400 ms for a prompt.
@@ -790,10 +700,8 @@ fn a_name_that_several_rooms_have_is_any_of_them() {
     let map =
         TWO_ROOMS.replace("\"label\": \"kitchen\"", "\"label\": \"bedroom\"").replace("\"living room\"", "\"bedroom\"");
     let map = SemanticMap::from_json(&map).unwrap();
-    let options = GroundingOptions::default();
-    let grounding = Grounding::new(&map, &options).unwrap();
-    let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
-    let mut engine = Engine::new(pipeline, map, options, 1).unwrap();
+    let pipeline = Pipeline::of(&map, TableModel::new(7)).unwrap();
+    let mut engine = Engine::new(pipeline, map, GroundingOptions::default(), 1).unwrap();
     let mut said_at = |at_s: u64, words: &str| {
         engine.step([entry(PersonId(3), at_s * S, words)], BootNs(at_s * S), UnixNs(at_s * S)).unwrap();
         [0, 1].map(|room| occupied(&mut engine, room, at_s * S))
@@ -872,4 +780,14 @@ fn a_flood_is_taken_in_parts() {
     cycle.enter(heard(601), 601);
     cycle.step(BootNs(S), UnixNs(S)).unwrap();
     assert_eq!(cycle.scored_record(), 700);
+}
+
+/// A narrator forgets an event that scores claim, so the state database must have it.
+#[test]
+fn scores_claim_no_event_that_the_state_database_lacks() {
+    let mut cycle = crate::daemon::cycle::Cycle::new(engine(), 250_000_000);
+    cycle.enter(entry(PersonId(0), S, "They open the fridge."), 5);
+    cycle.step(BootNs(S), UnixNs(S)).unwrap();
+    let mut claims = |written: u64| cycle.message(BootNs(S), written, false).unwrap().source_count;
+    assert_eq!([4, 5].map(|written| claims(written)), [0, 1]);
 }

@@ -1,5 +1,6 @@
 use std::collections::BTreeMap;
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use roomcast_core::forecast::PACES;
@@ -51,22 +52,6 @@ fn flood(writer: &mut Writer, sequences: std::ops::Range<u64>) {
 }
 
 #[test]
-fn appended_events_come_back() {
-    let directory = tempfile::tempdir().unwrap();
-    let options = options(directory.path(), 1 << 20);
-    for run in 0..3 {
-        let (mut journal, recovered) = Journal::open(&options).unwrap();
-        let expected: Vec<_> = (0..run * 10).map(observation).collect();
-        assert_eq!(recovered.observations, expected);
-        for sequence in run * 10..(run + 1) * 10 {
-            let number = journal.append(&observation(sequence));
-            assert!(journal.handle().wait_for(number, Duration::from_secs(30)));
-        }
-        assert_eq!(look(directory.path()).unwrap().observations.len() as u64, (run + 1) * 10);
-    }
-}
-
-#[test]
 fn values_that_no_sound_row_has_cost_their_rows_and_not_the_start() {
     let directory = tempfile::tempdir().unwrap();
     let (mut own, _) = writer(directory.path(), 1 << 20);
@@ -88,6 +73,28 @@ fn values_that_no_sound_row_has_cost_their_rows_and_not_the_start() {
         assert!(recovered.set_aside.is_none(), "a start sets nothing aside");
         assert!(recovered.persons.is_empty() && recovered.habits.unwrap().is_damaged());
     }
+}
+
+#[test]
+fn each_departure_of_a_visitor_comes_back_at_its_place_also_from_the_first_schema() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join(FILE);
+    let old = Connection::open(&path).unwrap();
+    old.execute_batch("CREATE TABLE meta (key TEXT PRIMARY KEY, value ANY NOT NULL) WITHOUT ROWID, STRICT").unwrap();
+    old.execute_batch(SCHEMA.migrations[0]).unwrap();
+    old.execute_batch("INSERT INTO departure VALUES (4, 0); PRAGMA user_version = 1").unwrap();
+    old.pragma_update(None, "application_id", SCHEMA.application).unwrap();
+    drop(old);
+    fs::set_permissions(&path, PermissionsExt::from_mode(0o600)).unwrap();
+    let (mut own, recovered) = writer(directory.path(), 1 << 20);
+    assert_eq!(recovered.forgotten, [(0, PersonId(4))]);
+    own.write([1, 2, 3].map(|sequence| event(&observation(sequence)))).unwrap();
+    for after in [1, 2] {
+        own.write([Record::Gone { person: PersonId(4), after: Some(observation(after).id()) }]).unwrap();
+    }
+    drop(own);
+    let (_, recovered) = writer(directory.path(), 1 << 20);
+    assert_eq!(recovered.forgotten, [0, 1, 2].map(|events| (events, PersonId(4))));
 }
 
 #[test]
@@ -231,24 +238,6 @@ fn the_event_that_has_a_persons_name_stays() {
     assert_eq!((of_anna[0], of_anna.last(), of_anna.len()), (1, Some(&39), 13));
 }
 
-/// A port that invents sources pushes out its own, and no other port's.
-#[test]
-fn invented_sources_push_out_their_own() {
-    let directory = tempfile::tempdir().unwrap();
-    let (mut own, _) = writer(directory.path(), 16_384);
-    let quiet = Observation { source: 99, person: PersonId::SOMEBODY, ..observation(1) };
-    own.write([event(&quiet), Record::Port { start: (99, 1), port: Port::simulated(1) }]).unwrap();
-    for source in 1000..1400 {
-        let said = Observation { source, person: PersonId::SOMEBODY, ..observation(1) };
-        own.write([event(&said), Record::Port { start: (source, 1), port: Port::simulated(2) }]).unwrap();
-    }
-    flood(&mut own, 1..700);
-    drop(own);
-    let (_, recovered) = writer(directory.path(), 16_384);
-    assert!(recovered.taken().any(|name| name == EventId::new(99, 1, 1)));
-    assert!(recovered.carried.len() <= roomcast_core::pipeline::SOURCES_MAX);
-}
-
 #[test]
 fn two_daemons_cannot_share_it() {
     let directory = tempfile::tempdir().unwrap();
@@ -381,19 +370,6 @@ fn each_kind_of_record_comes_back() {
     assert_eq!(recovered.of_other_boots.len(), recovered.observations.len());
 }
 
-/// A flipped bit that SQLite does not see is seen, and costs its event alone.
-#[test]
-fn a_changed_text_is_left_out() {
-    let directory = tempfile::tempdir().unwrap();
-    let (mut own, _) = writer(directory.path(), 1 << 20);
-    own.write((1..=3).map(observation).map(|own| event(&own))).unwrap();
-    let other = Connection::open(directory.path().join(FILE)).unwrap();
-    other.execute("UPDATE event SET text = 'They do thing 9.' WHERE sequence = 2", []).unwrap();
-    let recovered = own.recover().unwrap();
-    let sequences: Vec<_> = recovered.observations.iter().map(|own| own.sequence).collect();
-    assert_eq!((sequences, recovered.damaged), (vec![1, 3], 1));
-}
-
 /// The daemon starts whatever became of the file, and the damaged one is there to be looked at.
 #[test]
 fn a_damaged_database_is_set_aside() {
@@ -468,7 +444,7 @@ fn a_database_that_another_user_could_have_planted_is_refused() {
         fs::remove_file(&file).unwrap();
     }
     let (journal, _) = Journal::open(&options(directory.path(), 8192)).unwrap();
-    journal.handle().append(Record::Gone(PersonId(1)));
+    journal.handle().append(Record::Gone { person: PersonId(1), after: None });
     drop(journal);
     for file in fs::read_dir(directory.path()).unwrap() {
         assert_eq!(file.unwrap().metadata().unwrap().permissions().mode() & 0o777, 0o600);

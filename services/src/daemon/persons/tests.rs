@@ -1,7 +1,7 @@
-use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::grounding::GroundingOptions;
 use roomcast_core::ids::{BootNs, PersonId, UnixNs};
 use roomcast_core::narration::{Sentence, person_number};
-use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+use roomcast_core::pipeline::Pipeline;
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::raw::{Message, PersonV1, forecast_flags, score_flags};
@@ -38,11 +38,9 @@ fn board_of(scene: &str, config: &PersonsConfig) -> Engine<TableModel> {
 }
 
 fn board_on(map: SemanticMap, config: &PersonsConfig) -> Engine<TableModel> {
-    let options = GroundingOptions::default();
-    let grounding = Grounding::new(&map, &options).unwrap();
-    let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
+    let pipeline = Pipeline::of(&map, TableModel::new(7)).unwrap();
     let persons = Persons::new(config.clone(), PersonsFile::default());
-    Engine::new(pipeline, map, options, 1).unwrap().with_persons(persons)
+    Engine::new(pipeline, map, GroundingOptions::default(), 1).unwrap().with_persons(persons)
 }
 
 impl House {
@@ -78,7 +76,7 @@ impl House {
         let journal = &mut self.journal;
         self.engine.tell_beliefs(|believed| journal.push(believed));
         self.engine.tell_moved(|moved| journal.push(Record::Moved(moved.clone())));
-        self.engine.tell_gone(|person| journal.push(Record::Gone(person)));
+        self.engine.tell_gone(|gone| journal.push(gone));
         self.engine.tell_outcomes(|outcome| journal.push(outcome));
     }
 
@@ -437,24 +435,6 @@ fn actions_that_are_done_in_bed_do_not_wake_a_person() {
 }
 
 #[test]
-fn forgotten_persons_stay_forgotten_after_a_restart() {
-    let mut house = House::new(&["ada", "ben"]);
-    house.after(1, "ada", "They open the fridge.");
-    house.after(1, "somebody", "Nobody is home.");
-    let ada = house.engine.persons().number_of("ada");
-    house.engine.forget(ada, |_| false);
-    house.journal.push(Record::Gone(ada));
-    house.step(None);
-    for _ in 0..2 {
-        assert_eq!((house.presence("ada"), house.presence("ben")), (None, Some(presence::AWAY)));
-        house.restart();
-    }
-    house.after(1, "ada", "They open the fridge.");
-    house.restart();
-    assert_eq!(house.presence("ada"), Some(presence::PRESENT));
-}
-
-#[test]
 fn forecasts_say_that_an_unobserved_resident_is_missing() {
     let mut house = House::new(&["ada", "ben"]);
     house.after(1, "ada", "They sit on the sofa.");
@@ -582,35 +562,6 @@ fn a_home_with_an_unobserved_resident_is_not_empty() {
     house.after(1, "ben", "away");
     assert!(house.engine.snapshot().has(score_flags::NOBODY_HOME));
     assert_eq!(house.engine.forecast(BootNs(house.now_ns)).flags, forecast_flags::NOBODY_HOME);
-}
-
-/// A phone may report late that its person was out.
-#[test]
-fn late_presence_does_not_replace_newer_presence() {
-    let mut house = House::new(&[]);
-    house.after(1, "ada", "They open the fridge.");
-    let before = house.now().0;
-    let late = Observation { observed_ns: BootNs(house.now_ns - S), ..house.observation("ada", "away") };
-    let likeliest = |rooms: &[f32]| (0..rooms.len()).max_by(|a, b| rooms[*a].total_cmp(&rooms[*b])).unwrap();
-    house.now_ns += 5 * S;
-    house.enter(late);
-    assert_eq!(house.presence("ada"), Some(presence::PRESENT));
-    assert_eq!(likeliest(&house.now().0), likeliest(&before));
-    house.restart();
-    assert_eq!(house.presence("ada"), Some(presence::PRESENT));
-}
-
-#[test]
-fn presence_in_a_room_is_believed_at_once() {
-    let mut house = House::new(&[]);
-    house.after(1, "ada", "They lie on the bed.");
-    house.after(4, "ada", "present in the kitchen");
-    let rooms = house.now().0;
-    assert!(rooms.iter().any(|p| *p > 0.95), "{rooms:?}");
-    house.after(4, "ada", "Ada is in the bedroom.");
-    let again = house.now().0;
-    assert_ne!(rooms.iter().position(|p| *p > 0.95), again.iter().position(|p| *p > 0.95));
-    assert!(again.iter().any(|p| *p > 0.95), "{again:?}");
 }
 
 /// The attack "10 000 persons", in a home without configured residents.
@@ -1024,31 +975,6 @@ fn presence_words_of_messages_and_narration_agree() {
     use roomcast_core::narration::Presence;
     for all in [Presence::Unknown, Presence::Present, Presence::Away, Presence::Gone] {
         assert_eq!(roomcast_ipc::Presence::of(presence_value(all)).word(), all.as_str());
-    }
-}
-
-/// The spoofed poster: a camera may read any text.
-#[test]
-fn text_inside_a_text_sets_no_presence() {
-    for text in [
-        "The TV says: \"Hello. Everybody leaves the house. Bye.\"",
-        "A poster reads: Everybody leaves the house.",
-        "On TV, everybody leaves the house.",
-        "Subtitle: Nobody is home.",
-        "Ada reads \"Ada leaves the house.\"",
-        "Ada goes grocery shopping.",
-        "Ada drives to the pharmacy.",
-        "An elderly woman walks out of the front door.",
-        "Everybody leaves the building.",
-        "the lamp is on. Everybody leaves the house.",
-    ] {
-        for who in ["somebody", "Ada"] {
-            let mut house = House::new(&["Ada", "Ben"]);
-            house.after(1, "Ada", "They open the fridge.");
-            house.after(1, "Ben", "They lie on the bed.");
-            house.after(5, who, text);
-            assert_eq!([house.presence("Ada"), house.presence("Ben")], [Some(presence::PRESENT); 2], "{who}: {text}");
-        }
     }
 }
 

@@ -190,13 +190,6 @@ fn the_wait_for_residents_does_not_pass_in_quiet_hours() {
 }
 
 #[test]
-fn before_anybody_was_observed_no_order_goes_out() {
-    let mut flat = Flat::new(PlannerConfig::default()).at(3 * HOUR);
-    (flat.flags, flat.persons) = (forecast_flags::NOT_KNOWN, Vec::new());
-    paused(&flat.decision(0), "Waiting: Mira and Ben were not observed yet; until 03:10 at most.");
-}
-
-#[test]
 fn quiet_hours_stop_the_robot_and_let_it_go_on_afterwards() {
     let mut flat =
         Flat::new(PlannerConfig { reports: Reports::Always, report_timeout_s: 3600.0, ..quiet_hours("22:00-07:00") })
@@ -212,12 +205,6 @@ fn quiet_hours_stop_the_robot_and_let_it_go_on_afterwards() {
     flat.quiet_for(8 * HOUR + 59 * MIN);
     let goes = flat.decision(MIN);
     assert_eq!((goes.action, goes.covered), (action::GO, 0));
-}
-
-#[test]
-fn a_stay_that_would_reach_into_quiet_hours_is_not_begun() {
-    let mut flat = Flat::new(quiet_hours("22:00-07:00")).at(21 * HOUR + 51 * MIN);
-    paused(&flat.decision(0), "Quiet hours until 07:00.");
 }
 
 #[test]
@@ -300,6 +287,15 @@ fn a_robot_that_waits_says_who_is_where_and_for_how_long() {
     paused(&flat.decision(0), "Waiting: Mira is likely in the kitchen for 60 more minutes.");
     flat.persons[0].2 = Some(3);
     assert_eq!(flat.decision(MIN).to(), "kitchen");
+}
+
+/// The map has these rooms in English.
+#[test]
+fn rules_of_rooms_apply_by_each_name_that_the_map_knows() {
+    let room = ["Küche", "Schlafzimmer"].map(|name| RoomNeeds { exclude: true, ..needs(name) }).to_vec();
+    let mut flat = Flat::new(PlannerConfig { room, ..quiet_hours("09:00-10:00 in Flur") });
+    assert_eq!(flat.decision(0).to(), "office");
+    assert_eq!(flat.planner.rooms_not_on_the_map(), [""; 0]);
 }
 
 #[test]
