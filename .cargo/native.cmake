@@ -11,10 +11,14 @@ elseif(PROJECT_NAME STREQUAL "HIGHS")
     set(CMAKE_CXX_FLAGS_RELEASE "-O1 -DNDEBUG")
     cmake_language(DEFER CALL set_target_properties highs PROPERTIES
         UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 16 UNITY_BUILD_UNIQUE_ID HIGHS_UNITY_ID)
-elseif(PROJECT_NAME STREQUAL "ggml" AND CMAKE_SYSTEM_PROCESSOR STREQUAL "aarch64" AND CMAKE_CXX_COMPILER_VERSION VERSION_LESS 14)
-    # Debian 12's compiler knows no SME, which llama.cpp's kernels do not need for these processors.
-    cmake_language(DEFER CALL set_target_properties ggml-cpu-armv9.2_1 PROPERTIES
-        COMPILE_OPTIONS "-march=armv8.6-a+dotprod+fp16+sve+i8mm")
-    cmake_language(DEFER CALL set_target_properties ggml-cpu-armv9.2_2 PROPERTIES
-        COMPILE_OPTIONS "-march=armv8.6-a+dotprod+fp16+sve+i8mm+sve2")
+elseif(PROJECT_NAME STREQUAL "ggml" AND GGML_CPU_ALL_VARIANTS)
+    # Packages leave out the kernels of processors that are rare or too old for the program, and of Arm with SME, which Debian 12's compiler does
+    # not know. These processors use the next lower kernels. Each library needs a source; `.ci/deb` drops the empty ones.
+    if(CMAKE_SYSTEM_PROCESSOR STREQUAL "aarch64")
+        cmake_language(DEFER CALL set_target_properties ggml-cpu-armv8.2_1 ggml-cpu-armv9.2_1 ggml-cpu-armv9.2_2 PROPERTIES
+            SOURCES "${CMAKE_CURRENT_SOURCE_DIR}/src/ggml-cpu/hbm.cpp" COMPILE_OPTIONS "")
+    else()
+        cmake_language(DEFER CALL set_target_properties ggml-cpu-x64 ggml-cpu-ivybridge ggml-cpu-piledriver ggml-cpu-cannonlake ggml-cpu-cooperlake
+            PROPERTIES SOURCES "${CMAKE_CURRENT_SOURCE_DIR}/src/ggml-cpu/hbm.cpp")
+    endif()
 endif()
