@@ -10,9 +10,12 @@
 //!
 //! The bench compares the scores of both, to check that they do the same work.
 
+#![expect(unsafe_code, reason = "an allocator that counts")]
 #![expect(clippy::expect_used, reason = "a bench that cannot set up has nothing to measure")]
 
+use std::alloc::{GlobalAlloc, Layout, System};
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use clap::Parser;
@@ -45,6 +48,28 @@ use roomcast_services::embedded::{self, ModelFile};
 const WARM_UP: usize = 3;
 /// Largest difference of the scores, in nats per label: batches of another size use other kernels.
 const TOLERANCE_NATS: f64 = 0.1;
+
+/// Allocations of Rust code. Those of llama.cpp are not in it.
+static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+
+struct Counting;
+
+// SAFETY: the system's allocator does all the work.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller keeps the contract.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        // SAFETY: `alloc` gave this memory.
+        unsafe { System.dealloc(memory, layout) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
 
 #[derive(Parser)]
 struct Args {
@@ -164,6 +189,8 @@ struct Parts {
     forecast: u64,
     publish_forecast: u64,
     publish_scores: u64,
+    /// In the step and the forecast.
+    allocations: u64,
 }
 
 impl Parts {
@@ -206,10 +233,12 @@ impl Ours {
             self.cycle.enter(Entry::new(observation, BootNs(now_ns)), 0);
         }
         let intake = nanoseconds(start);
+        let allocated = ALLOCATIONS.load(Ordering::Relaxed);
         self.cycle.step(BootNs(now_ns), UnixNs(now_ns)).expect("the model scores");
         let forecasting = Instant::now();
         let forecast = self.cycle.engine_mut().forecast(BootNs(now_ns));
         let forecast_ns = nanoseconds(forecasting);
+        let allocations = ALLOCATIONS.load(Ordering::Relaxed) - allocated;
         let publishing = Instant::now();
         self.forecasts.send(forecast).expect("the forecast is sent");
         let publish_forecast = nanoseconds(publishing);
@@ -239,6 +268,7 @@ impl Ours {
             forecast: forecast_ns,
             publish_forecast,
             publish_scores,
+            allocations,
         }
     }
 
@@ -460,5 +490,7 @@ fn main() {
             share(|s| &s.ranking),
         ]);
     }
-    println!("{parts}");
+    println!("{parts}\n");
+    let none = all.iter().filter(|s| s.exact.allocations == 0).count();
+    println!("{none} of {} events made no allocation between intake and publishing", all.len());
 }

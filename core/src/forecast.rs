@@ -221,6 +221,12 @@ impl Forecaster {
         self.tracked_out = Some(out.clamp(0.0, 1.0));
     }
 
+    /// Whether the joint filter gives the belief ([`Forecaster::track`]).
+    #[must_use]
+    pub fn is_tracked(&self) -> bool {
+        self.tracked_out.is_some()
+    }
+
     fn out(&self) -> f64 {
         self.tracked_out.unwrap_or(if self.away_since_s.is_some() { 1.0 } else { 0.0 })
     }
@@ -238,7 +244,7 @@ impl Forecaster {
         // horizon.
         let silence_s = (now_s - self.updated_s).max(0.0);
         // The joint filter's belief is about now.
-        let hidden_s = if self.tracked_out.is_some() { 0.0 } else { silence_s.min(self.to_object.mean_s()) };
+        let hidden_s = if self.is_tracked() { 0.0 } else { silence_s.min(self.to_object.mean_s()) };
         (self.updated_s + silence_s - hidden_s - self.object_since_s, horizon_s.max(0.0) + hidden_s)
     }
 
@@ -259,7 +265,7 @@ impl Forecaster {
     /// The person's room probabilities now. For a person out of the house, those before they left.
     #[must_use]
     pub fn belief(&self) -> &[f64] {
-        if self.tracked_out.is_some() { &self.tracked } else { &self.belief }
+        if self.is_tracked() { &self.tracked } else { &self.belief }
     }
 
     /// Processes an action completed at `at_s`: the thing it mentions, if any, and the model's room probabilities afterwards. Earlier times count as

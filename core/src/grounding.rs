@@ -580,6 +580,17 @@ pub fn partition_names(partitions: &[Partition]) -> Vec<String> {
     }
 }
 
+/// The partition with this id, or the only one in the room with this name ([`SemanticMap::find_one_room`]).
+#[must_use]
+pub fn partition_named<'a>(name: &str, map: &SemanticMap, partitions: &'a [Partition]) -> Option<&'a Partition> {
+    let in_room = || {
+        let room = map.find_one_room(name)?;
+        let mut within = partitions.iter().filter(|partition| partition.rooms.contains(&room));
+        within.next().filter(|_| within.next().is_none())
+    };
+    partitions.iter().find(|partition| partition.id == name).or_else(in_room)
+}
+
 /// The partitions of a map at a level, in their order in a [`Grounding`].
 #[must_use]
 pub fn partitions(map: &SemanticMap, level: PartitionLevel) -> Vec<Partition> {

@@ -9,7 +9,7 @@ use serde::de::value::{MapAccessDeserializer, StrDeserializer};
 use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
-use crate::text::{excerpt, visible};
+use crate::text::{excerpt, nearest, visible};
 
 /// The message of a JSON error on one line, shortened by [`excerpt`].
 ///
@@ -41,7 +41,7 @@ pub fn json_of_one_line_says(error: &serde_json::Error) -> String {
 #[must_use]
 pub fn toml_says(error: &toml::de::Error) -> String {
     let whole = error.to_string();
-    let said = whole.trim_end();
+    let said = whole.trim_end().trim_start_matches("TOML parse error ");
     let shown = match said.strip_suffix(error.message().trim_end()) {
         Some(line) => {
             line.to_owned()
@@ -72,7 +72,8 @@ const GIVEN: [(&str, &str); 12] = [
 ];
 
 /// Other phrases of `serde` with their plain words.
-const WHOLE: [(&str, &str); 12] = [
+const WHOLE: [(&str, &str); 13] = [
+    ("invalid datetime", "no date or time; write hours in quotes, such as \"22:00-07:00\""),
     ("unknown field ", "unknown key "),
     ("unknown variant ", "unknown word "),
     ("missing field ", "missing key "),
@@ -120,6 +121,9 @@ fn in_words(said: &str, list: &str) -> String {
         None => given,
     };
     let Some(expected) = expected else { return given };
+    let unknown = given.strip_prefix("unknown ").and_then(|rest| rest.split_once('`')?.1.strip_suffix('`'));
+    let meant = unknown.and_then(|unknown| nearest(unknown, expected.split('`').skip(1).step_by(2)));
+    let given = meant.map_or(given.clone(), |meant| format!("{given} (did you mean `{meant}`?)"));
     let is_of_the_program = ["struct ", "internally tagged enum ", "struct variant "];
     let (what, place) = match expected.find(" at line ") {
         Some(at) => expected.split_at(at),
@@ -271,6 +275,21 @@ mod tests {
         ] {
             let said = toml_says(&toml::from_str::<File>(toml).unwrap_err());
             assert!(!words.iter().any(|word| said.contains(word)), "{toml}: {said}");
+        }
+    }
+
+    #[test]
+    fn the_nearest_key_and_quotes_for_hours_are_suggested() {
+        for (toml, said) in [
+            (
+                "[part]\nshar = 1",
+                "unknown key `shar` (did you mean `share`?), expected one of `count`, `share`, `is_on`",
+            ),
+            ("[part]\nx = 1", "unknown key `x`, expected one of"),
+            ("names = [22:00-07:00]", "write hours in quotes, such as \"22:00-07:00\""),
+        ] {
+            let told = toml_says(&toml::from_str::<File>(toml).unwrap_err());
+            assert!(told.starts_with("at line ") && told.contains(said), "{told}");
         }
     }
 

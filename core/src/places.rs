@@ -135,6 +135,13 @@ impl PlaceMatcher {
         self.place_of_name.contains_key(words)
     }
 
+    /// Whether a text names a thing or room of the map, including a place that the person comes from.
+    #[must_use]
+    pub fn names_any(&mut self, text: &str) -> bool {
+        self.split(text);
+        (0..self.words.len()).any(|at| self.named(at).is_some_and(|(_, end)| self.is_thing_at(at, end)))
+    }
+
     /// The place of a text: the last thing or room that it names in whole words, longest name first. A place that the person comes from ("from", "out
     /// of", "leaves", "away from", "past") does not count. If the text names only a room that the person leaves, the person is in any other place.
     #[must_use]

@@ -123,7 +123,7 @@ pub struct Understood {
     pub persons: Vec<UnderstoodPerson>,
     /// How the daemon found the persons: `key`, `name`, `fit` or `house`.
     pub by: String,
-    /// The thing or room that the event names, as the map calls it.
+    /// The thing or room that the event names, as the map calls it: `fridge`, not the fridge's room.
     pub place: Option<String>,
     /// The presence of the persons afterwards.
     pub presence: String,

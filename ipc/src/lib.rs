@@ -42,13 +42,17 @@
 //! # use roomcast_ipc::Domain;
 //! # fn main() -> Result<(), roomcast_ipc::Error> {
 //! let mut planner = Domain::for_user()?.planner("robot")?;
-//! while let Some(forecast) = planner.next_forecast(Duration::MAX)? {
+//! loop {
+//!     let known = planner.next_forecast(Duration::from_secs(2))?.filter(|forecast| forecast.is_known());
+//!     let Some(forecast) = known else {
+//!         planner.pause("no forecast, or no person was observed yet")?;
+//!         continue;
+//!     };
 //!     let soon = Duration::from_secs(60);
 //!     let rooms = forecast.rooms().filter_map(|room| Some((room.to_owned(), forecast.occupied(room, soon)?)));
 //!     let Some((calmest, p)) = rooms.min_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
 //!     planner.decide(&calmest, &format!("occupied in a minute with {:.0} %", 100.0 * p))?;
 //! }
-//! # Ok(())
 //! # }
 //! ```
 //!

@@ -76,7 +76,8 @@ impl Said<'_> {
         self.receivers
     }
 
-    /// Waits until the daemon's scores contain the event, and returns how the daemon understood it.
+    /// Waits until the daemon's scores contain the event, and returns how the daemon understood it. Without `daemon.state`, the event ends with
+    /// the daemon.
     ///
     /// # Errors
     ///

@@ -17,6 +17,7 @@ pub mod gguf;
 pub mod memory;
 
 mod model;
+mod pieces;
 
 pub mod affinity;
 

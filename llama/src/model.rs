@@ -39,6 +39,7 @@ use roomcast_core::scorer::{
 };
 
 use crate::gguf::{Header, open_plain};
+use crate::pieces::Pieces;
 
 /// llama.cpp's own limit on sequences in a context (LLAMA_MAX_SEQ).
 pub const SEQUENCES_MAX: u32 = 256;
@@ -202,7 +203,8 @@ pub struct LlamaModel {
     moved: Option<Progress>,
     add_start_token: bool,
     start_token: Token,
-    sentences_apart: bool,
+    /// `None` if sentences cannot be cut one by one.
+    pieces: Option<Arc<Pieces>>,
     sequences: u32,
     /// The prompt in the cache.
     kept: Vec<Token>,
@@ -398,7 +400,9 @@ impl LlamaModel {
             weakness: None,
             fingerprint,
         };
-        let sentences_apart = text("tokenizer.ggml.model").as_deref() == Some("llama") && sentences_apart(&vocabulary);
+        let is_apart = text("tokenizer.ggml.model").as_deref() == Some("llama") && sentences_apart(&vocabulary);
+        let piece = |token| Some((vocabulary.text(token)?.to_str().ok()?, Token(token.0), vocabulary.score(token)));
+        let pieces = is_apart.then(|| Arc::new(Pieces::new(vocabulary.tokens().filter_map(piece))));
         let add_start_token = vocabulary.should_add_bos();
         let start_token = Token(vocabulary.bos().0);
         let batch_tokens = options.context_parameters(weights.n_ctx_train()).n_batch();
@@ -415,7 +419,7 @@ impl LlamaModel {
             moved: None,
             add_start_token,
             start_token,
-            sentences_apart,
+            pieces,
             sequences,
             kept: Vec::new(),
             kept_sequences: 1,
@@ -486,7 +490,8 @@ impl LlamaModel {
         (self.kept_sequences, self.untidy) = (1, false);
         if let Some(set) = self.with_context(|context| context.state_seq_set(&state, 0)) {
             set.map_err(|error| self.decode_error(0, error.to_string()))?;
-            self.kept = tokens;
+            // Without the loss of its memory.
+            self.kept.extend(tokens);
         }
         Ok(())
     }
@@ -563,6 +568,9 @@ impl LanguageModel for LlamaModel {
         if start == TextStart::Sequence && self.add_start_token && self.start_token.0 >= 0 {
             out.push(self.start_token);
         }
+        if self.pieces.as_ref().is_some_and(|pieces| pieces.cut(text, out)) {
+            return Ok(());
+        }
         let mut tokens = self.tokens.borrow_mut();
         tokens.clear();
         self.loaded.borrow_owner().vocab().tokenize_into(text.as_bytes(), &mut tokens, false, false);
@@ -571,7 +579,7 @@ impl LanguageModel for LlamaModel {
     }
 
     fn sentences_apart(&self) -> bool {
-        self.sentences_apart
+        self.pieces.is_some()
     }
 
     fn token_counter(&self) -> TokenCounter {
@@ -696,6 +704,7 @@ impl LanguageModel for LlamaModel {
             batch: LlamaBatch::new(self.small_tokens, self.sequences.cast_signed()),
             batch_tokens: self.small_tokens,
             info: self.info.clone(),
+            pieces: self.pieces.clone(),
             options,
             is_stopped: Some(is_stopped),
             moved: None,

@@ -13,6 +13,7 @@ use crate::reasons::{called, why_text};
 use roomcast_core::explanation::{Explanation, PartitionReason};
 use roomcast_core::ids::PersonId;
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion, Whereabouts};
+use roomcast_services::habits_reason::ELSEWHERE;
 use roomcast_services::moment::{Explained, Moment};
 use roomcast_services::recording::{self, RecordedMoment, Wanted};
 use roomcast_simulation::drawing::{self, Heat};
@@ -191,7 +192,9 @@ fn told(found: &Whereabouts) -> String {
     let name = called(&found.person);
     let mut text = String::new();
     for place in &found.places {
-        let _ = writeln!(text, "{name} {}: {:.0} %", place.place, 100.0 * place.probability);
+        // As `person list` and `person correct` say it.
+        let shown = if place.place == ELSEWHERE { "away" } else { &place.place };
+        let _ = writeln!(text, "{name} {shown}: {:.0} %", 100.0 * place.probability);
         for why in &place.why {
             let _ = writeln!(text, "    {}", why_text(&name, why, &format!("{:.0} s ago", why.ago_s)));
         }

@@ -228,6 +228,10 @@ fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
         of_no_broker(args, robot.is_some())?;
     }
     let valetudo = find_map(args, robot.as_deref(), &seen, asker, &mut notes)?;
+    let is_told = robot.as_ref().is_some_and(|robot| seen.topics.contains_key(&format!("{robot}{MAP}")));
+    if !valetudo.as_deref().map_or(is_told, |path| !is_none(path)) {
+        of_no_map(args, home_assistant.is_some())?;
+    }
     let persons = home_assistant.as_ref().map_or(&[][..], |(_, home)| &home.persons);
     let residents = find_residents(args, persons, asker, &mut notes)?;
     if let Some((source, home)) = &mut home_assistant
@@ -353,7 +357,7 @@ fn find_broker(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Resul
                         broker.credentials = Some(absolute(Path::new(&file)));
                     }
                     Err(error @ LookError::Setup(_)) => return Err(unusable(error)),
-                    Err(error) => return Err(input(told(error))),
+                    Err(error) => return Err(input(format!("{}; or type none", told(error)))),
                 }
             }
         })?;
@@ -405,6 +409,21 @@ fn of_no_broker(args: &Args, robot: bool) -> CommandResult {
         "{option} is for a home with a broker, and there is none: give --mqtt mqtt://HOST[:PORT], or leave {option} out"
     );
     Err(Failure::new(exit_code::USAGE, text))
+}
+
+/// Refuses a home without rooms, and names for a robot's map that does not exist.
+fn of_no_map(args: &Args, has_areas: bool) -> CommandResult {
+    if args.names.is_some() {
+        let text = "--names names the segments of a robot's map, and there is none: give --valetudo FILE or mqtt, or leave --names out";
+        return Err(Failure::new(exit_code::USAGE, text));
+    }
+    if has_areas { Ok(()) } else { Err(no_rooms()) }
+}
+
+fn no_rooms() -> Failure {
+    let text = "nothing tells of the home's rooms: give --home-assistant FOLDER or URL, or --valetudo FILE or mqtt (docs/home.md), or write the map \
+                by hand (scenes/README.md)";
+    Failure::new(exit_code::USAGE, text)
 }
 
 /// The failure of an unusable broker configuration.
@@ -611,10 +630,6 @@ struct Made {
 fn make(args: &Args, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failure> {
     let [scene, rules_file, config_file] = files;
     let plan = robot_map(args, found)?;
-    if plan.is_none() && args.names.is_some() {
-        let text = "--names names the segments of a robot's map, and there is none: give --valetudo FILE or mqtt, or leave --names out";
-        return Err(Failure::new(exit_code::USAGE, text));
-    }
     let (home_map, rules) = match &found.home_assistant {
         Some((_, home)) => (Some(home.imported.clone()), home.rules.clone()),
         None => (None, None),
@@ -623,12 +638,7 @@ fn make(args: &Args, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failur
     let (imported, areas) = match (plan, home_map) {
         (Some(plan), areas) => (plan, areas),
         (None, Some(areas)) => (areas, None),
-        (None, None) => {
-            return Err(Failure::new(
-                exit_code::USAGE,
-                "nothing tells of the home's rooms: give --home-assistant FOLDER or URL, or --valetudo FILE or mqtt (docs/home.md)",
-            ));
-        }
+        (None, None) => return Err(no_rooms()),
     };
     let (imported, known) = match &areas {
         Some(Imported { map: areas, .. }) => Areas::find(imported, areas)?,
@@ -772,6 +782,12 @@ mod tests {
     use serde_json::json;
     use std::io::Write as _;
 
+    #[derive(clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: Args,
+    }
+
     #[test]
     fn a_robots_map_is_unpacked_with_a_limit() {
         let mut packed = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
@@ -789,11 +805,6 @@ mod tests {
 
     #[test]
     fn a_malformed_broker_is_refused_before_it_is_listened_to() {
-        #[derive(clap::Parser)]
-        struct Line {
-            #[command(flatten)]
-            args: Args,
-        }
         let line = <Line as clap::Parser>::try_parse_from(["init", "home"]).unwrap();
         let (mut shown, output) = std::io::pipe().unwrap();
         let mut asker = Asker::of(&b"http://hub\nnone\n"[..], output);
@@ -802,6 +813,14 @@ mod tests {
         let mut text = String::new();
         std::io::Read::read_to_string(&mut shown, &mut text).unwrap();
         assert!(text.contains("\"http://hub\" is no broker") && !text.contains("Listening"), "{text}");
+    }
+
+    #[test]
+    fn a_home_without_any_source_of_rooms_gets_no_further_question() {
+        let line = <Line as clap::Parser>::parse_from(["init", "--home-assistant", "none"]);
+        let failure = find(&line.args, &mut Asker::of(&b"none\n"[..], std::io::sink())).err().unwrap();
+        assert_eq!(failure.code, exit_code::USAGE);
+        assert!(failure.to_string().contains("write the map by hand (scenes/README.md)"), "{failure}");
     }
 
     fn home_of(areas: &[(&str, &str)]) -> Home {

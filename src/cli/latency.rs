@@ -344,7 +344,8 @@ fn print(rows: &[Row]) -> CommandResult {
     }
     super::print(&format!(
         "{table}\nRound trips between processes, in microseconds, one sample of each path in turn: a narration there, scores or a \
-         decision\nback; the yardsticks carry the same sizes and do nothing in between.\n"
+         decision\nback; the yardsticks carry the same sizes and do nothing in between. Decisions are measured after the scores: if more \
+         of\ntheir scores are prepared by then, decisions come sooner than the scores above.\n"
     ))
 }
 

@@ -12,6 +12,7 @@ use roomcast_core::narration::line::WhoError;
 use roomcast_core::narration::{Event, ReadName, check_name};
 use roomcast_core::text::{did_you_mean, odd_name, visible};
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion};
+use roomcast_services::habits_reason::ELSEWHERE;
 use roomcast_services::narrator::{self, CORRECTIONS, Input, Item, Pace, Who};
 
 #[derive(Debug, clap::Args)]
@@ -111,7 +112,8 @@ pub fn run(args: &Args) -> CommandResult {
 fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     let usage = |error: String| Failure::new(exit_code::USAGE, error);
     let person: Who = who.parse().map_err(|error: WhoError| usage(error.to_string()))?;
-    let text = if room == "away" { "away".to_owned() } else { format!("present in the {room}") };
+    let is_away = is_away(room);
+    let text = if is_away { "away".to_owned() } else { format!("present in the {room}") };
     Event::presence(&text).map_err(|error| usage(error.to_string()))?;
     let (mut config, domain) = common.service.load()?;
     config.narrator.name = CORRECTIONS.to_owned();
@@ -150,11 +152,15 @@ fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     match answer.understood.last().and_then(|line| line.why.as_deref()) {
         Some(why) => Err(Failure::new(exit_code::INPUT, format!("the daemon changed no belief: {why}"))),
         None if common.json => Ok(()),
-        None => print(&format!(
-            "{who} is {}.\n",
-            if room == "away" { "out".to_owned() } else { format!("in the room {room}") }
-        )),
+        None => {
+            print(&format!("{who} is {}.\n", if is_away { "away".to_owned() } else { format!("in the room {room}") }))
+        }
     }
+}
+
+/// Whether a place is out of the house, by the word of any output.
+fn is_away(place: &str) -> bool {
+    ["away", ELSEWHERE, "out"].contains(&place)
 }
 
 fn listed(answer: &PersonAnswer) -> String {
@@ -190,6 +196,11 @@ fn duration(seconds: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn each_word_for_out_of_the_house_corrects_a_place_to_away() {
+        assert!(["away", "elsewhere", "out"].iter().all(|word| is_away(word)) && !is_away("outhouse"));
+    }
 
     #[test]
     fn times_have_two_units() {

@@ -6,7 +6,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::{Duration, Instant};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use roomcast_core::grounding::{Partition, PartitionLevel, partitions};
+use roomcast_core::grounding::{Partition, PartitionLevel, partition_named, partitions};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::text::did_you_mean;
 use roomcast_ipc::raw::{DecisionV1, RobotReportV1, RoomScoresV1, RoomV1};
@@ -303,9 +303,7 @@ impl Names {
 
     /// The id of the room with this name; `None` if the room has several partitions.
     fn id(&self, name: &str) -> Option<&str> {
-        let room = self.map.find_one_room(name)?;
-        let mut within = self.partitions.iter().filter(|partition| partition.rooms.contains(&room));
-        within.next().filter(|_| within.next().is_none()).map(|only| only.id.as_str())
+        partition_named(name, &self.map, &self.partitions).map(|own| own.id.as_str())
     }
 }
 

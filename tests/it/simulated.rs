@@ -105,6 +105,8 @@ const HISTORY: usize = 32;
 const BUFFER: usize = 2;
 const GROUNDING: GroundingOptions = GroundingOptions { level: PartitionLevel::Room, room_labels: false };
 const BOOT: [u8; 16] = [7; 16];
+/// The joint filter of a running daemon has passed such times; that of a start has not.
+const LATE_NS: u64 = 2_000_000_000;
 /// Silence after which a visitor is forgotten.
 const VISITOR_S: f64 = 0.4;
 const NAMES: [&str; 2] = ["ada", "ben"];
@@ -347,6 +349,8 @@ struct World {
     residents: Vec<String>,
     /// The joint filter ran: it can move unnamed persons.
     was_joint: bool,
+    /// Narration arrived seconds after its event.
+    was_late: bool,
     maps: [SemanticMap; 2],
     options: PipelineOptions,
     failures: Rc<Cell<u32>>,
@@ -453,6 +457,7 @@ impl World {
             faithful: rng.random_bool(0.5),
             persons,
             was_joint: false,
+            was_late: false,
             residents: residents.iter().map(|name| (*name).to_owned()).collect(),
             maps: [SCENE, LARGER_SCENE].map(|scene| SemanticMap::from_json(scene).unwrap()),
             options: PipelineOptions { history, ..Default::default() },
@@ -785,6 +790,7 @@ impl World {
                 // Damage to the journal may have deleted an event that is not resent.
                 let lost = self.faithful && missed > self.damaged.len() as u64;
                 ensure(!lost, || format!("lost on a faithful transport: {missed} before {name:?}"))?;
+                self.was_late |= self.now_ns > observation.observed_ns.0 + LATE_NS;
                 self.accepted.push(observation);
                 self.note(|| format!("daemon accepts {name:?}"));
             }
@@ -1001,6 +1007,10 @@ impl World {
                         records.push_back((moved.into(), false));
                         attributed = *appended;
                     });
+                    cycle.engine_mut().tell_gone(|gone| {
+                        *appended += 1;
+                        records.push_back((gone, false));
+                    });
                     cycle.engine_mut().tell_outcomes(|outcome| {
                         *appended += 1;
                         records.push_back((outcome.into(), false));
@@ -1104,7 +1114,9 @@ impl World {
             let right = held.iter().all(|held| rest.any(|said| said == held))
                 && (held.is_empty() || held.last() == said.last())
                 && (!alone || said.ends_with(&held));
-            ensure(right, || format!("the history of person {person} lacks accepted narration"))?;
+            ensure(right, || {
+                format!("the history of person {person} lacks accepted narration: it has {held:?}, said was {said:?}")
+            })?;
         }
         Ok(())
     }
@@ -1297,9 +1309,10 @@ impl World {
             for (before, after) in rows.flat_map(|(before, after)| before.iter().zip(after)) {
                 // Habits learned after the last write are learned again in less detail. Observations older than the journal affect the length of
                 // stays.
-                let tolerance = if is_joint { 0.1 } else { 1e-4 };
-                // The joint filter moves persons by the local hour, and starts with the events of the database.
-                let is_moved = is_joint && (self.tally.clocks_set > 0 || self.trimmed > 0);
+                // An unnamed event divides two small beliefs, so the joint filter enlarges a difference: .105 was the largest of 15 000 seeds.
+                let tolerance = if is_joint { 0.15 } else { 1e-4 };
+                // The joint filter moves persons by the local hour, starts with the events of the database, and weighs a late event when it arrives.
+                let is_moved = is_joint && (self.tally.clocks_set > 0 || self.trimmed > 0 || self.was_late);
                 let is_open = !same_windows || self.learns || self.trimmed > 0 || is_moved;
                 ensure(is_open || (before - after).abs() < tolerance, || {
                     format!("after a restart person {} is in a room with {after}, before with {before}", own.person)
@@ -1456,19 +1469,19 @@ impl World {
         let misread = if self.disk.was_misread() { ", and a block is misread" } else { "" };
         let damaged = recovered.damaged;
         self.note(|| format!("daemon starts with {} narrations{misread}, {damaged} damaged rows", back.len()));
-        if self.disk.was_misread() || self.disk.tally().set_aside > self.set_aside {
-            // It may contain the row of a source's port.
+        if self.disk.was_misread() || self.lost_pages || self.disk.tally().set_aside > self.set_aside {
+            // The row of a source's port may be lost.
             self.strangers.clear();
         }
-        self.check_recovered(&back)?;
+        let whose = attributions(&recovered);
+        self.check_recovered(&back, &whose)?;
         // A start that missed events has other beliefs, so it is not compared with the ghost.
         let is_whole = |ghost: &mut Ghost| ghost.accepted == back.len() && !self.disk.was_misread();
         self.ghost = self.ghost.take_if(is_whole);
         self.accepted = back.iter().map(as_it_came).collect();
         self.taken.extend(back.iter().map(Observation::id));
         self.attributed.clear();
-        let by_fit = back.iter().filter(|o| o.by_fit);
-        self.attributed.extend(by_fit.map(|o| (o.id(), o.person)));
+        self.attributed.extend(&whose);
         if self.planted == Planted::NoAttributionsAfterRestart {
             // All of them get the same person.
             recovered.observations.iter_mut().filter(|o| o.by_fit).for_each(|o| o.person = PersonId(1));
@@ -1523,7 +1536,7 @@ impl World {
     /// A restart restores the accepted events, each once and in order, except for permitted losses: events deleted by the limit, which are older than
     /// most remaining ones; events that the disk refused or that were unsynced in a power failure; and all events, if the database is damaged. It
     /// restores no other events.
-    fn check_recovered(&mut self, back: &[Observation]) -> Check {
+    fn check_recovered(&mut self, back: &[Observation], whose: &BTreeMap<EventId, PersonId>) -> Check {
         let set_aside = self.disk.tally().set_aside;
         let is_hurt = self.is_damaged || self.disk.was_misread() || set_aside > self.set_aside;
         self.set_aside = set_aside;
@@ -1531,18 +1544,24 @@ impl World {
         for again in back {
             let name = again.id();
             ensure(names.insert(name), || format!("{name:?} is in the history twice"))?;
-            ensure(self.ever.get(&name).is_some_and(|said| *said == as_it_came(again)), || {
-                format!("the journal gives back what was never accepted: {again:?}")
-            })?;
-            // Claimed events have an attribution; damage or a failed sync may have deleted it.
-            let forgotten = !again.by_fit && self.claimed.contains(&name) && self.attributed.contains_key(&name);
             // A kill between a failed sync and the next write loses the data of that sync.
             let is_lost = self.lost_power || self.is_refused || self.lacks_pages();
             let may_be = self.tally.is_hurt() || is_lost || is_hurt;
+            let came = as_it_came(again);
+            // Without the row of the machine's start, monotonic times are of another start.
+            let is_undated = |said: &Observation| Observation { observed_ns: BootNs(0), ..said.clone() } == came;
+            let is_said = |said: &Observation| *said == came || may_be && is_undated(said);
+            ensure(self.ever.get(&name).is_some_and(is_said), || {
+                format!("the journal gives back what was never accepted: {again:?}")
+            })?;
+            // Claimed events have an attribution; damage or a failed sync may have deleted it.
+            let now = whose.get(&name);
+            let forgotten = now.is_none() && self.claimed.contains(&name) && self.attributed.contains_key(&name);
             ensure(!forgotten || may_be, || format!("whose {name:?} is was claimed and is forgotten"))?;
-            let other = again.by_fit && self.attributed.get(&name).is_some_and(|person| *person != again.person);
-            let was_said = may_be && self.ever_attributed.contains(&(name, again.person));
-            ensure(!other || was_said, || format!("{name:?} is somebody else's after a restart"))?;
+            let before = self.attributed.get(&name);
+            let is_other = now.is_some_and(|now| before.is_some_and(|before| before != now));
+            let was_said = may_be && now.is_some_and(|now| self.ever_attributed.contains(&(name, *now)));
+            ensure(!is_other || was_said, || format!("{name:?} is somebody else's after a restart"))?;
         }
         let in_order = self.accepted.iter().map(Observation::id).filter(|name| names.contains(name));
         let before =
@@ -1592,7 +1611,7 @@ impl World {
         self.tally.misread += u64::from(self.disk.was_misread());
         ensure(lost.is_empty(), || format!("{} narrations missing from the history: {lost:?}", lost.len()))?;
         // The daemon may publish and claim the attribution again.
-        for unsaid in back.iter().filter(|back| !back.by_fit).map(Observation::id) {
+        for unsaid in back.iter().map(Observation::id).filter(|name| !whose.contains_key(name)) {
             if self.attributed.remove(&unsaid).is_some() {
                 self.claimed.remove(&unsaid);
             }
@@ -1977,6 +1996,20 @@ fn a_full_disk_takes_events_in_the_space_of_the_log() {
         writer.sync().unwrap();
     }
     assert_eq!(writer.recover().unwrap().observations.last().unwrap().sequence, sequence);
+}
+
+/// The persons of unnamed events in the database. A power failure can take an attribution and leave the move before it.
+fn attributions(recovered: &Recovered) -> BTreeMap<EventId, PersonId> {
+    let person = |back: &Observation| {
+        let moves = recovered.moved.get(&back.id()).map_or(&[][..], Vec::as_slice);
+        match moves {
+            _ if back.by_fit => Some(back.person),
+            [own] if back.person == PersonId::SOMEBODY && own.by_fit && own.event.is_none() => Some(own.person),
+            _ => None,
+        }
+    };
+    let whose = recovered.observations.iter().filter_map(|back| Some((back.id(), person(back)?)));
+    whose.filter(|(_, person)| *person != PersonId::SOMEBODY).collect()
 }
 
 fn is_long(seed: u64) -> bool {

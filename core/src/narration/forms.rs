@@ -147,8 +147,12 @@ pub fn near_miss(text: &str) -> Option<&'static Form> {
         return None;
     }
     let has = |words: &str| {
-        let is_at = |at: &[u8]| at.eq_ignore_ascii_case(words.trim_end().as_bytes());
-        let found = text.as_bytes().windows(words.trim_end().len()).rposition(is_at);
+        // All begin with a space.
+        let begins = |at: &usize| {
+            let rest = text.as_bytes()[*at..].get(..words.trim_end().len());
+            rest.is_some_and(|rest| rest.eq_ignore_ascii_case(words.trim_end().as_bytes()))
+        };
+        let found = text.rmatch_indices(' ').map(|(at, _)| at).find(begins);
         // A word that ends there, unless more words follow.
         found.is_some_and(|at| {
             let rest = text.get(at + words.trim_end().len()..).unwrap_or_default();
@@ -195,21 +199,21 @@ pub fn count_of_persons(text: &str) -> Option<u8> {
     const NUMBERS: [&str; 7] = ["two", "three", "four", "five", "six", "seven", "eight"];
     const PERSONS: [&str; 11] =
         ["people", "persons", "men", "women", "adults", "children", "kids", "boys", "girls", "residents", "visitors"];
-    let lower = text.to_lowercase();
-    let mut words = lower.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).peekable();
+    let mut words = text.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).peekable();
+    let is_of = |word: Option<&&str>| word.is_some_and(|word| word.eq_ignore_ascii_case("of"));
     let (mut count, mut since, mut before) = (None, 0, "");
     while let Some(word) = words.next() {
         // "A couple is sitting", "a couple of people", and not "a couple of plates".
-        let is_couple = word == "couple" && matches!(before, "a" | "the") && words.peek() != Some(&"of");
-        if is_couple {
+        let is = |name: &str| word.eq_ignore_ascii_case(name);
+        let is_couple_of = is("couple") && is_of(words.peek());
+        if is("couple") && !is_couple_of && ["a", "the"].iter().any(|article| before.eq_ignore_ascii_case(article)) {
             return Some(2);
         }
-        let is_couple_of = word == "couple" && words.peek() == Some(&"of");
-        let number = (2..=COUNT_MAX).zip(NUMBERS).find(|(number, name)| *name == word || word.parse() == Ok(*number));
-        let two = (is_couple_of || word == "both").then_some(2);
+        let number = (2..=COUNT_MAX).zip(NUMBERS).find(|(number, name)| is(name) || word.parse() == Ok(*number));
+        let two = (is_couple_of || is("both")).then_some(2);
         if let Some(number) = number.map(|(number, _)| number).or(two) {
             (count, since) = (Some(number), 0);
-        } else if PERSONS.contains(&word) && since <= 2 {
+        } else if since <= 2 && PERSONS.iter().any(|name| is(name)) {
             if count.is_some() {
                 return count;
             }

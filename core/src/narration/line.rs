@@ -560,7 +560,10 @@ mod tests {
     #[test]
     fn an_error_names_the_key_and_what_is_allowed() {
         for (json, part) in [
-            ("{\"txt\": \"a\"}", "unknown key `txt`, expected one of `text`, `kind`, `presence`, `room`, `person`"),
+            (
+                "{\"txt\": \"a\"}",
+                "unknown key `txt` (did you mean `text`?), expected one of `text`, `kind`, `presence`, `room`, `person`",
+            ),
             ("{\"text\": \"They sit.\"", "at column 20"),
             ("{}", "give \"text\", \"presence\" or \"sensor\""),
             (r#"{"text": 3}"#, "\"text\" is 3; give a text"),

@@ -265,8 +265,8 @@ impl SemanticMap {
     }
 
     /// The first room whose id or label matches a name, looked up as by [`SemanticMap::find_label`]; an alias may also belong to one room's id. Then
-    /// a room with this id in plain words ("wz 2" is `wz_2`). Last the only room of a kind by its name in another language ("Küche" is a kitchen); a
-    /// longer name ("Küche oben") does not match the kind.
+    /// a room with this id in plain words, whatever the spelling of umlauts ("Büro 2" is `buro_2`). Last the only room of a kind by its name in
+    /// another language ("Küche" is a kitchen); a longer name ("Küche oben") does not match the kind.
     #[must_use]
     pub fn find_room(&self, name: &str) -> Option<RoomId> {
         let place = |is_meant: &dyn Fn(&Room) -> bool| {
@@ -277,10 +277,13 @@ impl SemanticMap {
             let is_one = self.rooms.iter().filter(|room| room.label == kind).count() == 1;
             is_one.then(|| place(&|room| room.label == kind)).flatten()
         };
-        let plain = plain_words(name);
+        let by_folded_id = || {
+            let folded = Names::folded(name);
+            place(&|room| Names::folded(&room.id) == folded)
+        };
         place(&|room| room.id == name)
             .or_else(|| self.find(name, |words| place(&|room| room.label == words || room.id == words)))
-            .or_else(|| place(&|room| plain_words(&room.id) == plain))
+            .or_else(by_folded_id)
             .or_else(|| only(Names::built_in().room_itself(name)?))
     }
 
@@ -290,7 +293,7 @@ impl SemanticMap {
         let found = self.find_room(name)?;
         let own = &self.rooms[found.0 as usize];
         let plain = plain_words(name);
-        let is_its_id = plain_words(&own.id) == plain;
+        let is_its_id = Names::folded(&own.id) == Names::folded(name);
         let is_its_alias = || self.aliases.get(&own.id).is_some_and(|own| own.contains(&plain));
         let is_one = || self.rooms.iter().filter(|other| other.label == own.label).count() == 1;
         (is_its_id || is_its_alias() || is_one()).then_some(found)
@@ -418,9 +421,13 @@ mod tests {
     #[test]
     fn every_room_is_found_by_its_id_in_plain_words() {
         let mut map = map();
-        for ids in
-            [["olga_s_kuche", "wz_2"], ["kitchen-16", "Bad_OG-3"], ["wohnzimmer", "wohnzimmer_2"], ["a--b", "_c_"]]
-        {
+        for ids in [
+            ["olga_s_kuche", "wz_2"],
+            ["Büro Oma", "gaeste_wc"],
+            ["kitchen-16", "Bad_OG-3"],
+            ["wohnzimmer", "wohnzimmer_2"],
+            ["a--b", "_c_"],
+        ] {
             for (room, id) in map.rooms.iter_mut().zip(ids) {
                 room.id = id.to_owned();
             }
@@ -429,6 +436,10 @@ mod tests {
                     assert_eq!(map.find_room(&name), Some(RoomId(index)), "{name:?} of {id:?}");
                 }
             }
+        }
+        (map.rooms[0].id, map.rooms[1].id) = ("buro_oma".to_owned(), "gaste_wc".to_owned());
+        for (name, index) in [("Büro Oma", 0), ("buero-oma", 0), ("Gäste WC", 1), ("GAESTE_WC", 1)] {
+            assert_eq!(map.find_one_room(name), Some(RoomId(index)), "{name:?}");
         }
     }
 

@@ -42,3 +42,24 @@ fn a_prompt_cut_by_sentences_is_the_prompt_cut_whole() {
     });
     result.unwrap();
 }
+
+/// A long text is cut by llama.cpp, and a short one is not. So a short text before a long one has the same tokens both ways.
+#[test]
+fn short_texts_have_the_tokens_of_llama_cpp() {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../models/household.gguf");
+    let model = LlamaModel::load(file.as_ref(), &LlamaOptions { context_tokens: 64, ..Default::default() }).unwrap();
+    let after = format!(" {}.", "They walk to the sink. ".repeat(12));
+    let text = "[ -~]{0,40}|[a-z]{1,9}( [a-zA-Z']{1,9}){0,12}|(They|the|fridge|walk|to|[a-z]{1,3}| |, ){0,20}";
+    let cut = |text: &str| {
+        let mut tokens = Vec::new();
+        model.tokenise(text, TextStart::Within, &mut tokens).unwrap();
+        tokens
+    };
+    let mut runner = TestRunner::new(Config { cases: 3000, failure_persistence: None, ..Config::default() });
+    let result = runner.run(&text, |text| {
+        let text = text + ".";
+        prop_assert_eq!(cut(&format!("{text}{after}")), [cut(&text), cut(&after[1..])].concat(), "{:?}", text);
+        Ok(())
+    });
+    result.unwrap();
+}

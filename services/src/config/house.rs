@@ -18,11 +18,11 @@ pub struct QuietHours {
     days: [bool; 7],
     from_min: u32,
     to_min: u32,
-    rooms: Vec<String>,
+    pub(super) rooms: Vec<String>,
 }
 
 impl QuietHours {
-    /// The ids of the quiet rooms; empty for the whole house.
+    /// The names or ids of the quiet rooms; empty for the whole house.
     #[must_use]
     pub fn rooms(&self) -> &[String] {
         &self.rooms
@@ -175,7 +175,7 @@ roomcast_core::choices! {
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RoomNeeds {
-    /// The room's id.
+    /// The room's id or name.
     pub id: String,
     /// Seconds from one cleaning to the next; by default once a round.
     pub every_s: Option<f64>,

@@ -84,7 +84,7 @@ pub enum ConfigError {
         path: PathBuf,
     },
     /// The text is not TOML, or has an unknown key or a value of the wrong kind.
-    #[error("the configuration {path} is malformed: {}\nsee `roomcast config` for every key with its default", toml_says(.error))]
+    #[error("the configuration {path} has a fault: {}\nsee `roomcast config` for every key with its default", toml_says(.error))]
     Parse {
         /// The file.
         path: PathBuf,

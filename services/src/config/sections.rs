@@ -307,6 +307,12 @@ pub struct PlannerConfig {
 }
 
 impl PlannerConfig {
+    /// Each room of quiet hours and needs, with its key.
+    pub fn named_rooms(&mut self) -> impl Iterator<Item = (&'static str, &mut String)> {
+        let quiet = self.quiet.iter_mut().flat_map(|hours| &mut hours.rooms).map(|room| ("planner.quiet", room));
+        quiet.chain(self.room.iter_mut().map(|room| ("planner.room.id", &mut room.id)))
+    }
+
     /// The needs of a room; `None` without an entry.
     #[must_use]
     pub fn needs_of(&self, id: &str) -> Option<&RoomNeeds> {

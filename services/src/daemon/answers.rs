@@ -77,7 +77,9 @@ pub(super) fn answer_about_person<M: LanguageModel>(
 ) -> PersonAnswer {
     let find = |engine: &Engine<M>, who: &str| {
         engine.persons().find(who).ok_or_else(|| match engine.persons().is_awaited(who) {
-            true => format!("{who:?} was not observed yet: correct persons.residents in the configuration"),
+            true => format!(
+                "no report has told of the resident {who:?} yet: an event with this name does, such as an action, a presence, or the person's phone or bed sensor"
+            ),
             false => format!("nobody is known as {who:?}: `roomcast person list` says who is"),
         })
     };

@@ -474,6 +474,7 @@ impl<M: LanguageModel> Engine<M> {
             let reporter = self.attribution.reporter(observation.source, is_unknown);
             self.scoring.pipeline.intake().include(&observation, quota);
             let name = observation.id();
+            self.records.begin(name);
             let mut is_taken = false;
             let enter = |engine: &mut Self, own: Observation| {
                 is_taken = true;

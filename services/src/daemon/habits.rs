@@ -513,8 +513,8 @@ impl HomeHabits {
         self.state += 1;
     }
 
-    /// A person's forecast per horizon (always the same horizons) and place, row by row, elsewhere last. `None` if only the forecast without habits
-    /// exists.
+    /// A person's forecast per horizon (always the same horizons, now first) and place, row by row, elsewhere last. For now it is the joint filter's
+    /// belief. `None` if only the forecast without habits exists.
     pub(super) fn forecast(
         &mut self,
         person: PersonId,
@@ -564,6 +564,9 @@ impl HomeHabits {
                 if !is_elsewhere {
                     mix(row);
                 }
+            }
+            if own.is_tracked() {
+                ahead.probability[..places].copy_from_slice(&self.shipped[..places]);
             }
             (ahead.sure, ahead.of) = (sure, Some(of));
         }

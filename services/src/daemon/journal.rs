@@ -3,7 +3,8 @@
 //! Observations are kept as they came. The daemon's attribution and the model's expectation are kept with them, so that a restarted daemon believes
 //! the same. Events from before a change of the map are not read with the new map: a belief keeps their result.
 //!
-//! A commit outlives the daemon at once; a power loss takes at most the last [`JournalOptions::sync_ms`]. The tables are in `journal/schema.sql`.
+//! A commit outlives the daemon at once; a power loss takes at most the last [`JournalOptions::sync_ms`]. The tables are in `journal/schema.sql`
+//! and `journal/departures.sql`.
 
 use std::fs;
 use std::io;
@@ -44,7 +45,10 @@ mod writer;
 /// The database in the state directory.
 pub const FILE: &str = "roomcast.db";
 /// Its tables; the number marks Roomcast's files.
-pub const SCHEMA: Schema = Schema { application: 0x524d_4353, migrations: &[include_str!("journal/schema.sql")] };
+pub const SCHEMA: Schema = Schema {
+    application: 0x524d_4353,
+    migrations: &[include_str!("journal/schema.sql"), include_str!("journal/departures.sql")],
+};
 /// Records that may wait for the disk before the sender does.
 const QUEUE: usize = 8_192;
 

@@ -255,6 +255,11 @@ fn load<M: LanguageModel + Send + 'static>(
         // An unwritable directory is reported at the first write.
         let _removed = crate::state_file::remove_unfinished(&directory.join(map_change::FILE));
     }
+    if state.is_none() {
+        tracing::warn!(
+            "nothing is stored: confirmed events, names and habits end with the daemon, unless daemon.state names a folder"
+        );
+    }
     for odd in config.persons.odd_names([]) {
         tracing::warn!("persons.residents: {odd}");
     }

@@ -181,6 +181,10 @@ impl Persons {
     /// The known person at the start of a text, in whole words; the longest name counts.
     pub(super) fn at_start<'a>(&self, text: &'a str) -> Option<(PersonId, &'a str)> {
         const WORDS_MAX: usize = 4;
+        // Nearly all texts; these checks allocate nothing.
+        if text.starts_with("They ") || self.all_names().next().is_none() {
+            return None;
+        }
         let is_end = |c: char| c.is_whitespace() || matches!(c, ',' | ':');
         let ends: Vec<usize> = text.match_indices(is_end).map(|(at, _)| at).take(WORDS_MAX).collect();
         ends.iter().rev().find_map(|end| {
@@ -192,6 +196,9 @@ impl Persons {
     /// Whether a text begins with a name from `persons.not_persons`, as of a robot or a pet.
     #[must_use]
     pub fn begins_with_no_person(&self, text: &str) -> bool {
+        if self.not_persons.is_empty() {
+            return false;
+        }
         let words = name_words(text);
         self.not_persons.iter().any(|name| {
             let name: Vec<&str> = name.letters().split(' ').collect();
@@ -204,32 +211,37 @@ impl Persons {
     #[must_use]
     pub fn name_of(&self, number: PersonId) -> Option<&str> {
         let told = || Some(&*self.known.get(&number)?.name.as_ref()?.said);
-        let is_listed = |who: &&String| who.parse::<u32>().is_err() && self.number_of(who) == number;
-        let listed = || self.config.residents.iter().find(is_listed).map(String::as_str);
+        let is_listed =
+            |(who, read): &(&String, &ReadName)| who.parse::<u32>().is_err() && self.number_of_read(read) == number;
+        let listed = || self.listed().find(is_listed).map(|(who, _)| who.as_str());
         self.file.of_number(number).map(|kept| kept.name.as_str()).or_else(told).or_else(listed)
     }
 
     /// Whether a person is a visitor. Without a list of residents each person is a resident.
     #[must_use]
     pub fn is_visitor(&self, number: PersonId) -> bool {
-        let name = self.name_of(number).map(ReadName::new);
-        let listed = |(resident, read): (&String, &ReadName)| {
-            name.as_ref().is_some_and(|name| name.whole() == read.whole())
-                // A renamed resident is still a resident.
-                || resident.parse().unwrap_or_else(|_| self.number_of(resident)) == number
+        // A renamed resident is still a resident.
+        let is_numbered = || self.residents().any(|resident| resident == number);
+        let is_listed = || {
+            let name = self.name_of(number).map(ReadName::new);
+            self.residents.iter().any(|read| name.as_ref().is_some_and(|name| name.whole() == read.whole()))
         };
-        let residents = || self.config.residents.iter().zip(&self.residents);
-        let by_list = || !self.config.residents.is_empty() && !residents().any(listed);
+        let by_list = || !self.residents.is_empty() && !is_numbered() && !is_listed();
         let kept = self.file.of_number(number).and_then(|kept| kept.resident);
         kept.map_or_else(by_list, |resident| !resident)
     }
 
+    /// The residents of the configuration, as written and as read.
+    fn listed(&self) -> impl Iterator<Item = (&String, &ReadName)> {
+        self.config.residents.iter().zip(&self.residents)
+    }
+
     /// The persons that an event without a name may be about. A named narrator follows only persons that named narrators reported, if there
     /// are any.
-    fn candidates(&self, is_unknown: bool) -> Vec<(PersonId, &Known)> {
+    fn candidates(&self, is_unknown: bool) -> impl Iterator<Item = (PersonId, &Known)> {
         let is_all =
             is_unknown || !self.known.values().any(|known| known.is_trusted() && known.presence != Presence::Gone);
-        self.iter().filter(|(_, known)| is_all || known.is_trusted()).collect()
+        self.iter().filter(move |(_, known)| (is_all || known.is_trusted()) && known.presence != Presence::Gone)
     }
 
     /// Each person in the house, and each resident: the persons that leave when everybody does.
@@ -395,7 +407,7 @@ impl Persons {
     }
 
     fn residents(&self) -> impl Iterator<Item = PersonId> {
-        self.config.residents.iter().map(|who| who.parse().unwrap_or_else(|_| self.number_of(who)))
+        self.listed().map(|(who, read)| who.parse().unwrap_or_else(|_| self.number_of_read(read)))
     }
 
     /// The next visitor that is gone by silence.
@@ -419,20 +431,18 @@ impl Persons {
 
     /// The persons that an unnamed event may be about if two of them cannot have caused it: the person in the house, then the person that is away,
     /// then the resident that was not observed. An unknown house has the numbers from 0.
-    pub(super) fn unnamed(&self, is_unknown: bool) -> Vec<PersonId> {
-        let mut known = self.candidates(is_unknown);
-        known.retain(|(_, known)| known.presence != Presence::Gone);
-        known.sort_by_key(|(number, known)| (known.presence != Presence::Present, Reverse(known.heard_ns), *number));
-        let mut numbers: Vec<PersonId> = known.into_iter().map(|(number, _)| number).collect();
-        let is_gone = |number: PersonId| self.known.get(&number).is_none_or(|known| known.presence == Presence::Gone);
-        let is_open = |number: &PersonId| !numbers.contains(number) && is_gone(*number);
-        let further: Vec<PersonId> = if self.config.residents.is_empty() {
-            (0..).map(PersonId).filter(is_open).take(PERSONS_MAX).collect()
-        } else {
-            self.residents().filter(is_open).collect()
+    pub(super) fn unnamed(&self, is_unknown: bool) -> impl Iterator<Item = PersonId> {
+        let rank = |(number, known): (PersonId, &Known)| {
+            (known.presence != Presence::Present, Reverse(known.heard_ns), number)
         };
-        numbers.extend(further);
-        numbers
+        let next = move |last: Option<_>| {
+            self.candidates(is_unknown).map(rank).filter(|own| last.as_ref().is_none_or(|last| own > last)).min()
+        };
+        let known = std::iter::successors(next(None), move |last| next(Some(*last))).map(|(.., number)| number);
+        let is_gone = |number: PersonId| self.known.get(&number).is_none_or(|known| known.presence == Presence::Gone);
+        let invented = if self.residents.is_empty() { 2 * PERSONS_MAX as u32 } else { 0 };
+        let further = self.residents().chain((0..invented).map(PersonId));
+        known.chain(further.filter(move |number| is_gone(*number)))
     }
 
     pub(super) fn has_residents(&self) -> bool {
@@ -441,15 +451,14 @@ impl Persons {
 
     /// Whether two persons or more can have caused an unnamed event.
     pub(super) fn are_several(&self, is_unknown: bool) -> bool {
-        let known = self.candidates(is_unknown).into_iter().filter(|(_, known)| known.presence != Presence::Gone);
-        known.map(|(number, _)| number).chain(self.residents()).collect::<BTreeSet<PersonId>>().len() > 1
+        let mut numbers = self.candidates(is_unknown).map(|(number, _)| number).chain(self.residents());
+        numbers.next().is_some_and(|first| numbers.any(|other| other != first))
     }
 
     /// The persons that the joint filter follows: known ones and residents. Persons that only unknown narrators reported are left out if named
     /// narrators reported any.
     pub(super) fn followed(&self) -> BTreeSet<PersonId> {
-        let known = self.candidates(false).into_iter().filter(|(_, known)| known.presence != Presence::Gone);
-        self.residents().chain(known.map(|(number, _)| number)).collect()
+        self.residents().chain(self.candidates(false).map(|(number, _)| number)).collect()
     }
 
     fn is_read_known(&self, name: &ReadName) -> bool {

@@ -74,7 +74,7 @@ impl Daemon {
         let engine = self.cycle.engine_mut();
         *self.forecast = *engine.forecast(now_ns);
         *self.persons = *engine.person_forecasts(now_ns);
-        engine.tell_gone(|person| _ = handle.append(journal::Record::Gone(person)));
+        engine.tell_gone(|gone| _ = handle.append(gone));
         engine.tell_expected(|outcome| {
             handle.append(outcome);
         });

@@ -17,7 +17,7 @@ use super::asked::{Answered, Question};
 use super::cycle::Cycle;
 use super::engine::Engine;
 use super::habits_question::{self, After, HabitsAnswer, HabitsQuestion, Importing};
-use super::journal::{JournalHandle, Record};
+use super::journal::JournalHandle;
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
 use super::prefetch_thread::PrefetchHandle;
@@ -317,9 +317,9 @@ impl<M: LanguageModel> Scoring<M> {
     /// Writes expectations and departures to the journal, so that a restart believes the same.
     fn tell_expected(&mut self) {
         let journal = &self.journal;
-        self.cycle.engine_mut().tell_gone(|person| {
+        self.cycle.engine_mut().tell_gone(|gone| {
             if let Some(journal) = journal {
-                journal.append(Record::Gone(person));
+                journal.append(gone);
             }
         });
         self.cycle.engine_mut().tell_expected(|outcome| {

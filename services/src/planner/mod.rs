@@ -257,7 +257,13 @@ impl Planner {
     /// With the map for reports' positions and names of rooms; the daemon's scores are of the partitions at `level`.
     #[must_use]
     pub fn with_map(mut self, map: SemanticMap, level: PartitionLevel) -> Self {
-        self.places = Some(Places::new(map, level));
+        let places = Places::new(map, level);
+        for (_, room) in self.config.named_rooms() {
+            if let Some(id) = places.id(room) {
+                id.clone_into(room);
+            }
+        }
+        self.places = Some(places);
         self
     }
 
@@ -389,13 +395,8 @@ impl Planner {
     pub(crate) fn rooms_not_on_the_map(&mut self) -> Vec<String> {
         let Some(scores) = self.scores.as_ref().filter(|_| !self.compared_rooms) else { return Vec::new() };
         self.compared_rooms = true;
-        let named = self
-            .config
-            .quiet
-            .iter()
-            .flat_map(|hours| hours.rooms())
-            .chain(self.config.room.iter().map(|room| &room.id));
-        named.filter(|own| !scores.rooms().iter().any(|room| is_room(own, room.id()))).cloned().collect()
+        let named = self.config.named_rooms().map(|(_, own)| own.clone());
+        named.filter(|own| !scores.rooms().iter().any(|room| is_room(own, room.id()))).collect()
     }
 
     /// A robot with a decision for a room that the map lacks, and that room; each robot once. Its room cannot be avoided.
@@ -488,7 +489,10 @@ impl Planner {
                 let likely = outlook.over_stay(room, self.stay_s()).filter(|_| self.plans());
                 let likely = likely.or_else(|| outlook.likely.get(room).copied());
                 let stay_ns = self.stay_in_ns(room);
-                let decision = self.go(room, stay_ns, &format!("{ended}{reason}"), now_ns, now_unix_ns);
+                // The reason before it is about another room.
+                let goes = format!("goes to {}: ", self.id_of(room));
+                let goes = if self.notice.why.is_empty() { "" } else { &goes };
+                let decision = self.go(room, stay_ns, &format!("{ended}{goes}{reason}"), now_ns, now_unix_ns);
                 let likely_now = here.as_ref().and_then(|here| here.get(room).copied());
                 self.send_to(room, idle, likely_now, now_ns, decision.sequence);
                 Ok(Some(DecisionV1 {

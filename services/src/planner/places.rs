@@ -1,6 +1,6 @@
 //! Finds the room of a report: by its id, its name in the map, or the robot's position on the map.
 
-use roomcast_core::grounding::{Partition, PartitionLevel, partitions};
+use roomcast_core::grounding::{Partition, PartitionLevel, partition_named, partitions};
 use roomcast_core::semantic_map::{Door, SemanticMap, Storeys};
 use roomcast_ipc::raw::{RoomScoresV1, RoomV1};
 
@@ -63,9 +63,12 @@ impl Places {
 
     /// The scores' room with a name on this map; `None` if the name fits several.
     pub(super) fn named(&self, name: &str, scores: &RoomScoresV1) -> Option<usize> {
-        let room = self.map.find_one_room(name)?;
-        let mut within = self.partitions.iter().filter(|partition| partition.rooms.contains(&room));
-        let only = within.next().filter(|_| within.next().is_none())?;
-        scores.rooms().iter().position(|room| room.id() == only.id)
+        let own = self.id(name)?;
+        scores.rooms().iter().position(|room| room.id() == own)
+    }
+
+    /// The id of the scores' room with a name on this map.
+    pub(super) fn id(&self, name: &str) -> Option<&str> {
+        partition_named(name, &self.map, &self.partitions).map(|own| own.id.as_str())
     }
 }

@@ -49,7 +49,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     planner = planner.with_home(&config.persons.residents, Zone::local());
     match setup::load_map(config.scene.path.as_deref()) {
         Ok(map) => planner = planner.with_map(map, config.grounding.level),
-        Err(error) => tracing::warn!(%error, "without the scene, a robot's reports have to name rooms by their ids"),
+        Err(error) => tracing::warn!(%error, "without the scene, reports and rules have to name rooms by their ids"),
     }
     let mut database = config.daemon.state_directory().map(|directory| Database::new(&directory, number));
     if let Some(database) = &mut database {

@@ -773,7 +773,8 @@ fn somebody_who_comes_in_interrupts_and_the_room_is_done_later() {
     let second = home.decision(12);
     assert!(second.has(decision_flags::INTERRUPTED), "{second:?}");
     assert_eq!((second.cancels, second.to(), second.covered), (first.sequence, "room-1", 0));
-    assert!(second.reason().starts_with("somebody came into room-0 (90 %), so its work there stops: "));
+    let begin = "somebody came into room-0 (90 %), so its work there stops: goes to room-1: works here";
+    assert!(second.reason().starts_with(begin), "{}", second.reason());
     // The person may still be there.
     home.likely = vec![0.4, 0.0, 0.0];
     assert_eq!(home.decision(112).to(), "room-2");

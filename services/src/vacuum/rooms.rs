@@ -54,12 +54,11 @@ fn unshared_segment(
         return number
             .ok_or_else(|| "the robot's list of segments is empty; name the segment in [robot.segments]".to_owned());
     }
-    // Home Assistant's ids of areas have underscores.
-    let plain = |name: &str| name.to_lowercase().replace([' ', '_'], "-");
-    let (whole, stem) = (plain(room), plain(numbered.map_or(room, |(stem, _)| stem)));
-    let kind = |name: &str| Names::built_in().room(name).map(|kind| kind.replace(' ', "-"));
+    // Home Assistant's ids of areas have underscores and no umlauts.
+    let (whole, stem) = (Names::folded(room), Names::folded(numbered.map_or(room, |(stem, _)| stem)));
+    let kind = |name: &str| Names::built_in().room(name).map(Names::folded);
     let means = |name: &str| {
-        let name_of = plain(name);
+        let name_of = Names::folded(name);
         name_of == whole || name_of == stem || kind(name).as_deref() == Some(&*stem)
     };
     // A name outside all tables may well be this room's: "Lenas Zimmer" is a bedroom.
@@ -96,7 +95,9 @@ mod tests {
         let of = |room: &str| segment_of(room, &[""; 0], &configured, &segments);
         assert_eq!(of("office").unwrap(), "9");
         assert_eq!(of("room-17").unwrap(), "17");
-        assert_eq!(of("kitchen").unwrap(), "1");
+        for kitchen in ["kitchen", "kuche", "kueche", "Küche"] {
+            assert_eq!(of(kitchen).unwrap(), "1", "{kitchen}");
+        }
         assert_eq!(of("kitchen-1").unwrap(), "1");
         assert_eq!(of("living-room").unwrap(), "2");
         assert_eq!(of("living_room").unwrap(), "2", "an area of Home Assistant");

@@ -3,8 +3,10 @@
 use std::path::Path;
 use std::time::Duration;
 
+use roomcast_core::grounding::{Grounding, partition_named};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_services::config::{Config, RobotKind};
+use roomcast_core::text::edit_distance;
+use roomcast_services::config::{Config, RobotKind, is_room};
 use serde::Serialize;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -67,15 +69,35 @@ pub(super) fn some_of<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
 
 /// The first room in `[robot.segments]` that the map lacks, as a fault with its remedy.
 pub(super) fn segment_of_no_room(config: &Config, map: &SemanticMap, file: &str) -> Option<(String, String)> {
-    let ids = || map.rooms().iter().map(|own| own.id.as_str());
     let room = config.robot.segments.keys().find(|room| map.find_room(room).is_none())?;
     let found = format!("[robot.segments] of {file} names the room {room:?}, which the map does not have");
-    let rooms = ids().collect::<Vec<_>>().join(", ");
-    let remedy = match nearest(room, ids()) {
+    Some((found, room_remedy(room, map)))
+}
+
+/// The remedy for the name of a room that the map lacks.
+pub(super) fn room_remedy(room: &str, map: &SemanticMap) -> String {
+    let keys: Vec<&str> = (0..map.rooms().len()).map(|room| map.room_key(room)).collect();
+    let names = (0..map.rooms().len()).map(|room| map.room_name(room));
+    let rooms = keys.join(", ");
+    match nearest(&room.to_lowercase(), keys.iter().copied().chain(names)) {
         Some(meant) => format!("write {meant:?}; the map's rooms are {rooms}"),
         None => format!("write one of the map's rooms: {rooms}"),
+    }
+}
+
+/// The rooms of the planner's rules that the map lacks. The planner ignores these rules.
+pub(super) fn rules_of_no_room(config: &Config, map: &SemanticMap, grounding: &Grounding, file: &str) -> Vec<Finding> {
+    let partitions = grounding.partitions();
+    let is_known = |own: &str| {
+        partition_named(own, map, partitions).is_some()
+            || partitions.iter().any(|partition| is_room(own, &partition.id))
     };
-    Some((found, remedy))
+    let mut planner = config.planner.clone();
+    let unknown = planner.named_rooms().filter(|(_, room)| !is_known(room)).map(|(key, room)| {
+        let found = format!("{key} of {file} names the room {room:?}, which the map does not have");
+        Finding::wrong("house rules", found, room_remedy(room, map))
+    });
+    unknown.collect()
 }
 
 /// Two contradictory lines of `[robot.segments]`, as a fault with its remedy: a room with two segments, where one is never used, or two rooms with
@@ -106,30 +128,16 @@ pub(super) fn segments_at_odds(config: &Config, map: &SemanticMap, file: &str) -
 /// The known text that a misspelt one probably means: the nearest by edit distance, if it is near enough.
 pub(super) fn nearest<'a>(text: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let most = (text.chars().count() / 4).clamp(1, 4);
-    let far = known.into_iter().map(|known| (letters_apart(text, known), known));
+    let far = known.into_iter().map(|known| (edit_distance(text, known), known));
     far.filter(|(apart, known)| *apart <= most && *known != text)
         .min_by_key(|(apart, _)| *apart)
         .map(|(_, known)| known)
 }
 
-/// The edit distance of two texts.
-fn letters_apart(one: &str, other: &str) -> usize {
-    let other: Vec<char> = other.chars().collect();
-    let mut row: Vec<usize> = (0..=other.len()).collect();
-    for (i, a) in one.chars().enumerate() {
-        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
-        for (j, b) in other.iter().enumerate() {
-            let above = row[j + 1];
-            row[j + 1] = (diagonal + usize::from(a != *b)).min(above + 1).min(row[j] + 1);
-            diagonal = above;
-        }
-    }
-    row[other.len()]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use roomcast_core::grounding::GroundingOptions;
 
     #[test]
     fn segments_that_cannot_both_be_meant_are_told() {
@@ -150,13 +158,32 @@ mod tests {
     }
 
     #[test]
+    fn rules_of_rooms_that_the_map_lacks_are_told_with_the_nearest_room() {
+        let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let found = |quiet: &str, id: &str| {
+            let text = format!("[planner]\nquiet = [\"11:00-13:00 in {quiet}\"]\n[[planner.room]]\nid = \"{id}\"\n");
+            let config: Config = toml::from_str(&text).unwrap();
+            let findings = rules_of_no_room(&config, &map, &grounding, "home.toml");
+            findings.into_iter().map(|own| format!("{}: {}", own.found, own.remedy.unwrap())).collect::<Vec<_>>()
+        };
+        for (quiet, id) in [("kitchen", "living-room"), ("Küche", "Living room"), ("kitchen, Wohnzimmer", "kuche")] {
+            assert_eq!(found(quiet, id), [""; 0]);
+        }
+        let told = [
+            "planner.quiet of home.toml names the room \"Nursery\", which the map does not have: write one of the map's rooms: kitchen, living-room",
+            "planner.room.id of home.toml names the room \"Kitchn\", which the map does not have: write \"kitchen\"; the map's rooms are kitchen, living-room",
+        ];
+        assert_eq!(found("Nursery", "Kitchn"), told);
+    }
+
+    #[test]
     fn a_typo_is_told_from_another_word() {
         let rooms = ["kitchen", "living-room", "bathroom", "bedroom"];
         assert_eq!(nearest("kichen", rooms), Some("kitchen"));
         assert_eq!(nearest("living room", rooms), Some("living-room"));
         assert_eq!(nearest("garage", rooms), None);
         assert_eq!(nearest("home/fridge/stat", ["home/fridge/state", "home/oven/state"]), Some("home/fridge/state"));
-        assert_eq!(letters_apart("", "abc"), 3);
         assert_eq!(some_of(["a"; 8]), "a, a, a, a, a, a and 2 more");
     }
 }

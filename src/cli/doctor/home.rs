@@ -13,7 +13,7 @@ use roomcast_services::daemon::{NoZone, Zone};
 use roomcast_services::logging::chain;
 use roomcast_services::participant::{DRIVER, OfRobot, PLANNER};
 
-use super::finding::{Finding, Place, segment_of_no_room, segments_at_odds, some_of};
+use super::finding::{Finding, Place, rules_of_no_room, segment_of_no_room, segments_at_odds, some_of};
 #[cfg(feature = "mqtt")]
 use super::home_mqtt;
 use crate::cli::count;
@@ -34,6 +34,7 @@ pub(super) fn checks(
     findings.extend(state(config, place));
     if let Some((map, grounding)) = map {
         findings.push(things(config, map, grounding, place));
+        findings.extend(rules_of_no_room(config, map, grounding, &place.shown()));
     }
     #[cfg(feature = "mqtt")]
     findings.extend(home_mqtt::checks(config, map, place));
@@ -50,6 +51,7 @@ pub(super) fn names(config: &Config, home: Option<(&SemanticMap, &Grounding)>, p
     };
     let segment = home.and_then(segment).map(|(found, remedy)| Finding::wrong("robot", found, remedy));
     let mut findings: Vec<Finding> = segment.into_iter().collect();
+    findings.extend(home.into_iter().flat_map(|(map, grounding)| rules_of_no_room(config, map, grounding, &shown)));
     #[cfg(feature = "mqtt")]
     if let Some(path) = config.mqtt.rules.as_deref() {
         findings.extend(home_mqtt::rules(path, home).0);

@@ -18,7 +18,7 @@ use roomcast_services::mqtt::tally::Counted;
 use roomcast_services::mqtt::{self, Broker, MqttError, Rules};
 use roomcast_services::vacuum::{Dialect, Sensed, Status, by_ids, segment_of};
 
-use super::finding::{Finding, Place, nearest, segment_of_no_room, some_of};
+use super::finding::{Finding, Place, nearest, room_remedy, segment_of_no_room, some_of};
 use crate::cli::count;
 
 /// Home Assistant's domains with states about people.
@@ -121,7 +121,6 @@ pub(super) fn rules(path: &Path, home: Option<(&SemanticMap, &Grounding)>) -> (V
 
 /// Rules with a room that the map does not have.
 fn rooms_of_rules(path: &Path, rules: &Rules, map: &SemanticMap) -> Option<Finding> {
-    let known: Vec<&str> = (0..map.rooms().len()).map(|room| map.room_key(room)).collect();
     let named = rules.about().flat_map(|rule| {
         let rooms = [rule.room, rule.beyond].into_iter().flatten();
         rooms.map(move |room| (rule.number, room))
@@ -138,11 +137,7 @@ fn rooms_of_rules(path: &Path, rules: &Rules, map: &SemanticMap) -> Option<Findi
         several => format!(", and {} more rules do alike", several - 1),
     };
     let found = format!("{}: rule {number} names the room {room:?}, {why}{more}", path.display());
-    let remedy = match nearest(room, known.iter().copied()) {
-        Some(meant) => format!("write room = {meant:?}"),
-        None => format!("write one of the map's rooms: {}", known.join(", ")),
-    };
-    Some(Finding::wrong("rules", found, remedy))
+    Some(Finding::wrong("rules", found, room_remedy(room, map)))
 }
 
 /// Rules with a sentence about a thing or a room that the map does not have.
@@ -224,7 +219,7 @@ pub(in crate::cli) fn remark(line: &str, map: &SemanticMap, mentions: &mut Place
 /// presence in the house, or has a placeholder with an unknown value.
 fn missing_thing(said: &str, map: &SemanticMap, mentions: &mut PlaceMatcher) -> Option<String> {
     let sentence = Sentence::new(said).ok().filter(|_| !said.contains('{'))?;
-    if mentions.last(said).is_some() {
+    if mentions.names_any(said) {
         return None;
     }
     if let Some((_, event)) = forms::read(sentence.as_str(), |_| true, |_| true) {
@@ -801,6 +796,8 @@ mod tests {
             ("They turn on the washing machine.", "washing machine"),
             ("They watch television.", "television"),
             ("They walk to the attic.", "attic"),
+            ("They get out of the bed.", "bed"),
+            ("They come from the attic.", "attic"),
         ] {
             assert_eq!(missing(said).as_deref(), Some(thing), "{said}");
         }
@@ -852,6 +849,9 @@ mod tests {
             "They turn on the coffee-maker.",
             "They put the plate on the table.",
             "They switch on the light in the kitchen.",
+            "They get up from the sofa.",
+            "They get out of the living room.",
+            "They leave the kitchen.",
             "They walk to the living room.",
             "They leave the house.",
             "They come home.",

@@ -416,9 +416,9 @@ fn a_configuration_is_held_to_what_this_machine_has() {
         std::fs::write(&path, text).unwrap();
         let mut command = roomcast(&["config", "--check", path.to_str().unwrap()]);
         let output = command.env_remove("ROOMCAST_ROOT").env_remove("ROOMCAST_DOMAIN").output().unwrap();
-        (output.status.success(), String::from_utf8(output.stderr).unwrap())
+        (output.status.success(), String::from_utf8([output.stdout, output.stderr].concat()).unwrap())
     };
-    assert_eq!(check("[scene]\npath = \"ward\"\n"), (true, String::new()));
+    assert_eq!(check("[scene]\npath = \"ward\"\n"), (true, format!("ok: {}\n", path.display())));
     for (text, part) in [
         ("[scene]\npath = \"/nowhere/flat.json\"", "no scene /nowhere/flat.json"),
         ("[model]\npath = \"/nowhere/model.gguf\"", "/nowhere/model.gguf"),

@@ -1,11 +1,16 @@
 """Narrators, planners and robots for Roomcast.
 
-    from roomcast import Planner
+    from roomcast import ForecastFlags, Planner
 
     with Planner("my-planner") as planner:
-        for forecast in planner.forecasts():
-            calmest = min(forecast.rooms, key=lambda room: forecast.occupied(room.id, 60))
-            planner.decide(calmest.id, "the room is least likely to be occupied in a minute")
+        while True:
+            for forecast in planner.forecasts(timeout_s=2):
+                if ForecastFlags.NOT_KNOWN in forecast.flags:
+                    planner.pause("no person was observed yet")
+                    continue
+                calmest = min(forecast.rooms, key=lambda room: forecast.occupied(room.id, 60))
+                planner.decide(calmest.id, "the room is least likely to be occupied in a minute")
+            planner.pause("no forecast for two seconds")
 """
 
 from __future__ import annotations
@@ -521,8 +526,8 @@ class Narrator(_Participant):
             self._wait_for_room()
 
     def understood(self, first: int = 1, timeout_s: float = 10) -> list[dict[str, Any]]:
-        """The daemon's interpretation of the events from the number `first` on, oldest first: `sequence`, `event`, `persons`, `by`, `place`,
-        `presence`, and `why` if an event changed no belief. The daemon stores its newest 512 events."""
+        """The daemon's interpretation of the events from the number `first` on, oldest first: `sequence`, `event`, `persons`, `by`,
+        `place` (a thing or a room), `presence`, and `why` if an event changed no belief. The daemon stores its newest 512 events."""
         question = {"ask": "understood", "source": self.source, "epoch": self.epoch, "from": first}
         return list(_ask(self.node, ports.PERSON, question, timeout_s).get("understood", []))
 

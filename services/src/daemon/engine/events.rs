@@ -117,17 +117,18 @@ impl<M: LanguageModel> Engine<M> {
             }
             Who::Unknown(_) if own.by_fit => vec![own],
             Who::Unknown(count) => {
-                let mut persons = self.attribution.persons.unnamed(reporter.is_unknown);
-                persons.truncate((*count).into());
-                self.note_attributed(&own, &persons);
-                persons.into_iter().map(|person| Observation { person, by_fit: true, ..own.clone() }).collect()
+                let persons = self.attribution.persons.unnamed(reporter.is_unknown).take((*count).into());
+                let part = |person| Observation { person, by_fit: true, ..own.clone() };
+                let parts: Vec<Observation> = persons.map(part).collect();
+                self.note_attributed(&parts);
+                parts
             }
         }
     }
 
-    fn note_attributed(&mut self, own: &Observation, persons: &[PersonId]) {
-        if let [person] = *persons {
-            self.records.attributed.push(Attributed { event: own.id(), person });
+    fn note_attributed(&mut self, parts: &[Observation]) {
+        if let [only] = parts {
+            self.records.attributed.push(Attributed { event: only.id(), person: only.person });
         }
     }
 
@@ -181,6 +182,10 @@ impl<M: LanguageModel> Engine<M> {
         if let Some(reason) = self.refusal(own, who_is, reporter, at_ns) {
             return Weighed::Refused(reason);
         }
+        if let Some(person) = who_is {
+            // The visit ends before the filter takes the event.
+            self.end_visit(person, at_ns);
+        }
         // The filter knows no rooms of a changed map before its first scores.
         if self.map.next_rooms.is_some() {
             return Weighed::NotNeeded;
@@ -228,7 +233,7 @@ impl<M: LanguageModel> Engine<M> {
         let Some(tracking) = &mut self.belief.tracking else { return Weighed::NotNeeded };
         if count > 1 && !self.attribution.persons.has_residents() {
             // Nothing limits the number of persons.
-            for person in self.attribution.persons.unnamed(reporter.is_unknown).into_iter().take(count.into()) {
+            for person in self.attribution.persons.unnamed(reporter.is_unknown).take(count.into()) {
                 tracking.index_of(person);
             }
         }
@@ -329,8 +334,7 @@ impl<M: LanguageModel> Engine<M> {
         if let [only] = &parts[..]
             && only.event == own.event
         {
-            let person = only.person;
-            self.note_attributed(own, &[person]);
+            self.note_attributed(&parts);
         }
         if let Some(tracking) = &mut self.belief.tracking {
             idle.into_iter().for_each(|person| tracking.remove(person));
@@ -345,6 +349,15 @@ impl<M: LanguageModel> Engine<M> {
             return None;
         }
         self.take(own, Quota::EARLIER, (reporter, true), at_ns).ok()
+    }
+
+    /// After such a silence a visitor was gone, although no step noticed it.
+    fn end_visit(&mut self, person: PersonId, at_ns: i64) {
+        if self.attribution.persons.has_expired(person, at_ns) {
+            self.watch();
+            self.attribution.persons.remove(person);
+            self.drop_person(person);
+        }
     }
 
     /// Takes in the part of one person, unless a later event says otherwise or the person is guarded. A part that a former run took in counts
@@ -364,12 +377,7 @@ impl<M: LanguageModel> Engine<M> {
         }
         let at_ns = at_ns.map(|at_ns| self.attribution.persons.in_order(&observation, at_ns));
         let noted_ns = at_ns.unwrap_or_default();
-        // After such a silence a visitor was gone, although no step noticed it.
-        if self.attribution.persons.has_expired(observation.person, noted_ns) {
-            self.watch();
-            self.attribution.persons.remove(observation.person);
-            self.drop_person(observation.person);
-        }
+        self.end_visit(observation.person, noted_ns);
         if !was_taken && at_ns.is_some_and(|at_ns| self.attribution.persons.is_outdated(&observation, at_ns)) {
             return Err(Reason::Outdated);
         }

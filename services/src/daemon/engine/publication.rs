@@ -34,6 +34,8 @@ pub(super) struct Publication {
     pub(super) person_scores: Box<PersonScoresV1>,
     /// Values beyond the rooms and horizons stay zero.
     person_forecasts: Box<PersonForecastsV1>,
+    /// Working memory of the forecast.
+    house: Independent,
     /// Working memory: the sources in the order of the message, each with the number of newer ones of the same quota.
     newest_sources: Vec<(usize, Included)>,
     /// Working memory: the time of each person's newest event, and the person.
@@ -63,6 +65,7 @@ impl Publication {
             forecast: Box::default(),
             person_scores: Box::default(),
             person_forecasts: Box::default(),
+            house: Independent::default(),
             newest_sources: Vec::new(),
             newest_persons: Vec::new(),
             named_turn: 0,
@@ -147,7 +150,9 @@ impl Publication {
         for own in &untracked {
             others_free.iter_mut().zip(own.at(now_s, 0.0)).for_each(|(free, p)| *free *= 1.0 - p);
         }
-        let Independent { free, elsewhere, common } = Independent::of(followed, home, now_ns);
+        self.house.update(rooms.len(), followed, home, now_ns);
+        let Independent { free, elsewhere, common } = &self.house;
+        let free = |place: usize, room: usize| free[place * rooms.len() + room];
         for place in 0..MAX_HORIZONS {
             let joint = |of: f64, now: f64, own: f64| (own + common[place] * (of - now)).clamp(0.0, 1.0);
             for (room, row) in message.probability.iter_mut().enumerate().take(rooms.len()) {
@@ -155,9 +160,9 @@ impl Publication {
                     _ if not_known => 1.0 / rooms.len() as f64,
                     Some(own) => {
                         let occupied = 1.0 - (1.0 - own.occupied(room)) * others_free[room];
-                        joint(occupied, 1.0 - free[0][room], 1.0 - free[place][room])
+                        joint(occupied, 1.0 - free(0, room), 1.0 - free(place, room))
                     }
-                    None => 1.0 - free[place][room],
+                    None => 1.0 - free(place, room),
                 };
                 row[place] = occupied.clamp(0.0, 1.0) as f32;
             }
@@ -185,10 +190,11 @@ impl Publication {
         (message.computed_ns, message.published_ns, message.minor) = (now_ns.0, now_ns.0, 1);
         (message.room_count, message.id) = (scores.room_count, scores.id);
         (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
-        (message.persons, message.person_count) = (scores.persons, scores.person_count);
+        let before = std::mem::replace(&mut message.person_count, scores.person_count) as usize;
+        message.persons = scores.persons;
         let (rooms, now_s) = (scores.room_count as usize, now_ns.seconds());
-        let mut places = message.person.iter_mut();
-        for (scores, place) in scores.persons().iter().zip(&mut places) {
+        let (used, places) = (scores.persons().len(), &mut message.person);
+        for (scores, place) in scores.persons().iter().zip(places.iter_mut()) {
             let person = PersonId(scores.person);
             let name = known_persons.name_bytes(person);
             *place = PersonForecastV1 { person: person.0, name, ..PersonForecastV1::default() };
@@ -225,7 +231,7 @@ impl Publication {
                 write_learned(home, person, place);
             }
         }
-        places.for_each(|place| *place = PersonForecastV1::default());
+        places.iter_mut().take(before).skip(used).for_each(|place| *place = PersonForecastV1::default());
         message
     }
 
@@ -420,15 +426,16 @@ impl Publication {
                 row[..used].copy_from_slice(&values[..used]);
             }
         }
-        places.for_each(|place| *place = PersonV1::default());
-        message.person_count = count;
+        let before = std::mem::replace(&mut message.person_count, count) as usize;
+        message.person.iter_mut().take(before).skip(count as usize).for_each(|place| *place = PersonV1::default());
     }
 }
 
 /// The house by horizon if its persons moved independently.
+#[derive(Debug, Default)]
 struct Independent {
-    /// The probability that a room is free.
-    free: [[f64; MAX_ROOMS]; MAX_HORIZONS],
+    /// The probability that a room is free, horizon by horizon.
+    free: Vec<f64>,
     /// The probability that all persons are elsewhere.
     elsewhere: [f64; MAX_HORIZONS],
     /// The part of the persons' dependence now that remains: the joint belief differs from the product of the persons' beliefs by it.
@@ -436,14 +443,22 @@ struct Independent {
 }
 
 impl Independent {
-    fn of(followed: &BTreeMap<PersonId, Forecaster>, home: &mut HomeHabits, now_ns: BootNs) -> Self {
-        let (mut free, now_s) = ([[1.0; MAX_ROOMS]; MAX_HORIZONS], now_ns.seconds());
-        let (mut elsewhere, mut common) = ([1.0; MAX_HORIZONS], [1.0; MAX_HORIZONS]);
+    fn update(
+        &mut self,
+        rooms: usize,
+        followed: &BTreeMap<PersonId, Forecaster>,
+        home: &mut HomeHabits,
+        now_ns: BootNs,
+    ) {
+        let (Self { free, elsewhere, common }, now_s) = (self, now_ns.seconds());
+        free.clear();
+        free.resize(rooms * MAX_HORIZONS, 1.0);
+        (*elsewhere, *common) = ([1.0; MAX_HORIZONS], [1.0; MAX_HORIZONS]);
         for (person, own) in followed {
             let by_habit = home.forecast(*person, own, now_ns, &HORIZONS_S);
             for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
                 common[place] *= own.stays(now_s, f64::from(*horizon_s));
-                let free = free[place].iter_mut();
+                let free = free[place * rooms..][..rooms].iter_mut();
                 if let Some((gone, known)) = by_habit.and_then(|rows| row(rows, place)?.split_last()) {
                     free.zip(known).for_each(|(free, p)| *free *= 1.0 - p);
                     elsewhere[place] *= gone;
@@ -453,7 +468,6 @@ impl Independent {
                 }
             }
         }
-        Self { free, elsewhere, common }
     }
 }
 

@@ -28,7 +28,9 @@ pub(super) struct Records {
     /// Beliefs at a change of the map.
     believed: Vec<Record>,
     /// Visitors that are gone by silence.
-    gone: Vec<PersonId>,
+    gone: Vec<(PersonId, Option<EventId>)>,
+    /// The newest event that entered.
+    newest: Option<EventId>,
     /// The state database was read, and no expectation was written since. Restored persons without new events need no repetition.
     pub(super) recalled: bool,
     /// The expectation after each person's newest restored event, as the state database has it; empty if the person was out.
@@ -52,10 +54,14 @@ impl Records {
         self.no_moves.push(moves);
     }
 
+    /// An event enters now.
+    pub(super) fn begin(&mut self, observation: EventId) {
+        self.newest = Some(observation);
+    }
+
     pub(super) fn note_gone(&mut self, person: PersonId) {
-        if !self.gone.contains(&person) {
-            self.gone.push(person);
-        }
+        self.gone.retain(|(other, _)| *other != person);
+        self.gone.push((person, self.newest));
     }
 
     pub(super) fn lose(&mut self, person: PersonId) {
@@ -99,8 +105,9 @@ impl<M: LanguageModel> Engine<M> {
     }
 
     /// Passes the visitors that are gone by silence to `tell`, once, for the state database.
-    pub fn tell_gone(&mut self, tell: impl FnMut(PersonId)) {
-        self.records.gone.drain(..).for_each(tell);
+    pub fn tell_gone(&mut self, tell: impl FnMut(Record)) {
+        let gone = self.records.gone.drain(..);
+        gone.map(|(person, after)| Record::Gone { person, after }).for_each(tell);
     }
 
     /// Passes the outcomes of the last good step to `tell`, once, for the state database.

@@ -40,6 +40,7 @@ impl<M: LanguageModel> Engine<M> {
             }
             self.scoring.readings.begin();
             let name = observation.id();
+            self.records.begin(name);
             let is_of_another_boot = of_other_boots.contains(&name);
             if is_of_another_boot {
                 // The event was before the machine's start, whatever the wall clock says. A time of 0 would mean no time.

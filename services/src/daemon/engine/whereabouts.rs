@@ -6,7 +6,7 @@ use roomcast_core::tracker::Cause;
 
 use super::super::person_question::{NoisySensor, PlaceLine, UnderstoodPerson, Whereabouts, WhyLine};
 use super::tracking::Tracking;
-use super::{Engine, seconds};
+use super::{Engine, HORIZONS_S, seconds};
 use crate::habits_reason::ELSEWHERE;
 
 /// Less probable places are left out.
@@ -15,24 +15,24 @@ const LEAST: f64 = 0.005;
 const CLEAR: (f64, f64) = (0.7, 2.0);
 
 impl<M: LanguageModel> Engine<M> {
-    /// Where a person is believed to be at a time, and why.
+    /// Where a person is believed to be at a time, as in their published forecast, and why.
     pub(in crate::daemon) fn whereabouts(&mut self, person: PersonId, now_ns: BootNs) -> Whereabouts {
         self.forecast(now_ns);
         let rooms: Vec<String> = self.publication.snapshot.rooms().iter().map(|room| room.id().to_owned()).collect();
         let now_s = now_ns.seconds();
-        let own = self
-            .belief
-            .told
-            .get(&person)
-            .filter(|_| self.belief.tracking.is_some())
-            .or_else(|| self.belief.followed.get(&person));
+        let own = self.belief.forecasters().get(&person).or_else(|| self.belief.followed.get(&person));
+        // Its first horizon is now.
+        let by_habit = own.and_then(|own| Some(self.home.forecast(person, own, now_ns, &HORIZONS_S)?.to_vec()));
         let tracking = self.belief.tracking.as_deref();
         let mut places: Vec<PlaceLine> = Vec::new();
         for (room, id) in rooms.iter().map(String::as_str).chain([ELSEWHERE]).enumerate() {
-            let probability = match own {
-                Some(own) if room == rooms.len() => own.elsewhere(now_s, 0.0),
-                Some(own) => own.at(now_s, 0.0).nth(room).unwrap_or_default(),
-                None => tracking.map_or(0.0, |own| own.probability(person, (room < rooms.len()).then_some(room))),
+            let probability = match (&by_habit, own) {
+                (Some(now), _) => now.get(room).copied().unwrap_or_default(),
+                (None, Some(own)) if room == rooms.len() => own.elsewhere(now_s, 0.0),
+                (None, Some(own)) => own.at(now_s, 0.0).nth(room).unwrap_or_default(),
+                (None, None) => {
+                    tracking.map_or(0.0, |own| own.probability(person, (room < rooms.len()).then_some(room)))
+                }
             };
             if probability >= LEAST {
                 let room = (room < rooms.len()).then_some(room);

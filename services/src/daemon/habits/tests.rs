@@ -348,6 +348,31 @@ fn without_learning_nothing_changes() {
     assert!(house.engine.habits_mut().memory_if_changed().is_none(), "there is nothing to write");
 }
 
+/// An answer about a person's place and the forecast for now showed 69 % and 87 %.
+#[test]
+fn where_a_person_is_believed_to_be_is_the_forecast_for_now() {
+    let mut house = House::new(true);
+    (0..3).for_each(|day| house.day(PersonId(3), day));
+    house.say(PersonId(3), 3 * DAY_S + 7 * H, "They sit on the sofa.");
+    let sensor = "present in the kitchen";
+    for (later_s, text) in [(20, None), (60, Some(sensor)), (90, None)] {
+        let at_s = 3 * DAY_S + 7 * H + later_s;
+        house.until(at_s);
+        text.into_iter().for_each(|text| house.say(PersonId(3), at_s, text));
+        let [kitchen, living_room, elsewhere] = house.ahead(PersonId(3), 0);
+        let found = house.engine.whereabouts(PersonId(3), BootNs(house.now_ns));
+        assert!(found.places[0].probability > 0.5);
+        for own in found.places {
+            let published = match own.place.as_str() {
+                "kitchen" => kitchen,
+                "living-room" => living_room,
+                _ => elsewhere,
+            };
+            assert!((own.probability - f64::from(published)).abs() < 1e-6, "{later_s} s, {}: {published}", own.place);
+        }
+    }
+}
+
 #[test]
 fn a_routine_becomes_the_forecast_and_is_forgotten() {
     let mut house = House::new(true);

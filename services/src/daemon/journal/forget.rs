@@ -47,7 +47,7 @@ pub(super) fn forget(
     is_changed |= store::delete_expectations(transaction, person)? > 0;
     if is_changed {
         // Earlier events about all persons do not bring them back after a restart.
-        store::write(transaction, id, &Record::Gone(person))?;
+        store::write(transaction, id, &Record::Gone { person, after: None })?;
     }
     Ok((theirs, is_changed))
 }

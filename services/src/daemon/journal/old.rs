@@ -178,7 +178,7 @@ fn decode(bytes: &[u8], boot_id: &[u8; 16]) -> Option<(u8, Record, usize)> {
             let start = (take_u64(&mut rest)?, take_u64(&mut rest)?);
             Record::Port { start, port: Port::from_bytes(rest.try_into().ok()?) }
         }
-        b'9' => Record::Gone(take_person(&mut { payload })?),
+        b'9' => Record::Gone { person: take_person(&mut { payload })?, after: None },
         b'A' => belief(payload)?,
         b'B' => Record::Moved(moved(payload)?),
         _ => return None,

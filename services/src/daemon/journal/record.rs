@@ -44,7 +44,12 @@ pub enum Record {
     /// The persons that an observation moved.
     Moved(Moved),
     /// A visitor is gone by silence.
-    Gone(PersonId),
+    Gone {
+        /// The visitor.
+        person: PersonId,
+        /// The newest observation that had entered then. `None` if it is the newest of the database.
+        after: Option<EventId>,
+    },
 }
 
 impl Record {
@@ -62,7 +67,7 @@ impl Record {
             }
             Self::Expected { expectation, .. } => PART_BYTES + 4 * expectation.probability.len(),
             Self::Taken(_) | Self::Port { .. } => PART_BYTES,
-            Self::Found { .. } | Self::Gone(_) => 0,
+            Self::Found { .. } | Self::Gone { .. } => 0,
         };
         bytes as u64
     }

@@ -110,9 +110,10 @@ pub(super) fn write(transaction: &Transaction<'_>, id: i64, record: &Record) -> 
             let Some(event) = find(transaction, *observation)? else { return Ok(()) };
             insert_moves(transaction, event, moves)
         }
-        Record::Gone(person) => {
+        Record::Gone { person, after } => {
+            let after = after.map_or(Ok(None), |after| find(transaction, after))?.unwrap_or(id);
             let mut insert = transaction.prepare_cached("INSERT OR REPLACE INTO departure VALUES (?1, ?2)")?;
-            insert.execute(params![person.0, id]).map(|_| ())
+            insert.execute(params![person.0, after]).map(|_| ())
         }
     }
 }
@@ -330,7 +331,7 @@ fn last_words(transaction: &Transaction<'_>, costs: &[(i64, EventId, u64)], byte
              SELECT expectation.person, event, name IS NOT NULL FROM expectation JOIN event ON id = event
              UNION SELECT person, event, name IS NOT NULL FROM moved WHERE person <> 4294967295 AND name IS NOT NULL
              UNION SELECT number, id, name IS NOT NULL FROM event WHERE number IS NOT NULL),
-         since AS (SELECT * FROM said WHERE event > coalesce((SELECT after FROM departure WHERE departure.person = said.person), 0)),
+         since AS (SELECT * FROM said WHERE event > coalesce((SELECT max(after) FROM departure WHERE departure.person = said.person), 0)),
          ranked AS (
              SELECT event, is_named, row_number() OVER (PARTITION BY person ORDER BY event DESC) AS rank,
                     row_number() OVER (PARTITION BY person, is_named ORDER BY event DESC) AS own FROM since)
@@ -508,7 +509,7 @@ pub(super) fn delete_events(transaction: &Transaction<'_>, ids: &[i64]) -> Resul
     ids.iter().try_for_each(|id| delete.execute([id]).map(|_| ()))
 }
 
-/// Deletes the model's expectations of a person, and their departure.
+/// Deletes the model's expectations of a person, and their departures.
 pub(super) fn delete_expectations(transaction: &Transaction<'_>, person: PersonId) -> Result<usize> {
     let deleted = transaction.execute("DELETE FROM expectation WHERE person = ?1", [person.0])?;
     Ok(deleted + transaction.execute("DELETE FROM departure WHERE person = ?1", [person.0])?)

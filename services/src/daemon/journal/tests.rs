@@ -1,5 +1,6 @@
 use std::collections::BTreeMap;
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use roomcast_core::forecast::PACES;
@@ -72,6 +73,28 @@ fn values_that_no_sound_row_has_cost_their_rows_and_not_the_start() {
         assert!(recovered.set_aside.is_none(), "a start sets nothing aside");
         assert!(recovered.persons.is_empty() && recovered.habits.unwrap().is_damaged());
     }
+}
+
+#[test]
+fn each_departure_of_a_visitor_comes_back_at_its_place_also_from_the_first_schema() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join(FILE);
+    let old = Connection::open(&path).unwrap();
+    old.execute_batch("CREATE TABLE meta (key TEXT PRIMARY KEY, value ANY NOT NULL) WITHOUT ROWID, STRICT").unwrap();
+    old.execute_batch(SCHEMA.migrations[0]).unwrap();
+    old.execute_batch("INSERT INTO departure VALUES (4, 0); PRAGMA user_version = 1").unwrap();
+    old.pragma_update(None, "application_id", SCHEMA.application).unwrap();
+    drop(old);
+    fs::set_permissions(&path, PermissionsExt::from_mode(0o600)).unwrap();
+    let (mut own, recovered) = writer(directory.path(), 1 << 20);
+    assert_eq!(recovered.forgotten, [(0, PersonId(4))]);
+    own.write([1, 2, 3].map(|sequence| event(&observation(sequence)))).unwrap();
+    for after in [1, 2] {
+        own.write([Record::Gone { person: PersonId(4), after: Some(observation(after).id()) }]).unwrap();
+    }
+    drop(own);
+    let (_, recovered) = writer(directory.path(), 1 << 20);
+    assert_eq!(recovered.forgotten, [0, 1, 2].map(|events| (events, PersonId(4))));
 }
 
 #[test]
@@ -421,7 +444,7 @@ fn a_database_that_another_user_could_have_planted_is_refused() {
         fs::remove_file(&file).unwrap();
     }
     let (journal, _) = Journal::open(&options(directory.path(), 8192)).unwrap();
-    journal.handle().append(Record::Gone(PersonId(1)));
+    journal.handle().append(Record::Gone { person: PersonId(1), after: None });
     drop(journal);
     for file in fs::read_dir(directory.path()).unwrap() {
         assert_eq!(file.unwrap().metadata().unwrap().permissions().mode() & 0o777, 0o600);

@@ -76,7 +76,7 @@ impl House {
         let journal = &mut self.journal;
         self.engine.tell_beliefs(|believed| journal.push(believed));
         self.engine.tell_moved(|moved| journal.push(Record::Moved(moved.clone())));
-        self.engine.tell_gone(|person| journal.push(Record::Gone(person)));
+        self.engine.tell_gone(|gone| journal.push(gone));
         self.engine.tell_outcomes(|outcome| journal.push(outcome));
     }
 
