@@ -28,6 +28,7 @@ use roomcast_services::setup;
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::eventually::waited;
+use crate::number;
 
 const DEFAULT_TIME: Duration = Duration::from_secs(8);
 /// On a busy machine the time alone may be over before anything has happened.
@@ -467,11 +468,6 @@ fn difference(pipeline: &mut Pipeline<LlamaModel>, history: &[Observation], end:
     let expected = &scores.grounded.partition_log_score_nats;
     let apart = |(a, b): (&f64, &f64)| if a == b { 0.0 } else { (a - b).abs() };
     expected.iter().zip(&seen.log_score_nats).map(apart).fold(0.0, f64::max)
-}
-
-fn number(variable: &str) -> Option<u64> {
-    let text = std::env::var(variable).ok()?;
-    Some(text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}: give a number")))
 }
 
 #[test]

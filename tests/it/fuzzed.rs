@@ -25,14 +25,11 @@ mod targets;
 
 use roomcast_cli::exit_code;
 
+use crate::number;
+
 /// Mutations of each target by default; targets that write files get fewer.
 const RUNS: u64 = 20_000;
 const MODELS: usize = 12;
-
-fn number(variable: &str) -> Option<u64> {
-    let text = std::env::var(variable).ok()?;
-    Some(text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}: give a number")))
-}
 
 /// The corpus of a target, and files that the product ships or writes.
 fn seeds(target: &str) -> Vec<Vec<u8>> {

@@ -16,6 +16,8 @@ use roomcast_llama::{LlamaModel, LlamaOptions};
 use roomcast_services::embedded;
 use roomcast_services::setup::load_model;
 
+use crate::number;
+
 const SEEDS: u64 = 12;
 /// Sentences of the honest narrator after a flood.
 const AFTER: usize = 12;
@@ -84,11 +86,6 @@ impl Home {
         let window = self.pipeline.inside().histories().get(PersonId(0)).unwrap();
         window.observations().filter(|o| o.source == Who::Honest as u64 + 1).count()
     }
-}
-
-fn number(variable: &str) -> Option<u64> {
-    let text = std::env::var(variable).ok()?;
-    Some(text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}: give a number")))
 }
 
 #[test]

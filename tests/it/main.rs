@@ -27,7 +27,6 @@ mod mqtt;
 mod processes;
 mod scoring;
 mod setup;
-mod shapes;
 mod simulated;
 #[path = "../support/skipped.rs"]
 mod skipped;
@@ -35,3 +34,9 @@ mod soak;
 mod syscalls;
 mod systemd;
 mod world;
+
+/// The number in a variable of the environment.
+fn number(variable: &str) -> Option<u64> {
+    let text = std::env::var(variable).ok()?;
+    Some(text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}: give a number")))
+}

@@ -2,7 +2,6 @@
 //! kernels that round, and once in single precision, where only the order of sums differs.
 
 use std::collections::HashMap;
-use std::path::Path;
 use std::sync::Arc;
 
 use rand::seq::IndexedRandom;
@@ -24,8 +23,6 @@ use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast_services::daemon::{Engine, Entry};
 use roomcast_services::embedded;
 use roomcast_services::setup::load_model;
-
-use crate::skipped::skipped;
 
 /// The included weights, or the same in single precision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -141,55 +138,21 @@ fn model(sequences: u32) -> LlamaModel {
     load_model(None, &options(sequences)).unwrap()
 }
 
-/// VirtualHome's scenes; they are not part of the repository.
-const VIRTUALHOME: &str = "../shared/virtualhome/scenes";
-
-/// The included scenes, an office, and VirtualHome's scenes if present.
+/// The included scenes, and an office.
 fn maps() -> Vec<SemanticMap> {
-    let mut maps: Vec<_> = embedded::SCENES.iter().map(|s| SemanticMap::from_json(s.text).unwrap()).collect();
-    maps.push(office());
-    let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join(VIRTUALHOME);
-    // If they are missing, `virtualhomes_own_scenes_are_among_them` reports it.
-    for file in std::fs::read_dir(shared).into_iter().flatten() {
-        let text = std::fs::read_to_string(file.unwrap().path()).unwrap();
-        maps.push(import::virtualhome(&text, "virtualhome", None).unwrap().map);
-    }
-    maps
+    let included = embedded::SCENES.iter().map(|scene| SemanticMap::from_json(scene.text).unwrap());
+    included.chain([office()]).collect()
 }
 
-#[test]
-fn virtualhomes_own_scenes_are_among_them() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(VIRTUALHOME);
-    if !folder.is_dir() {
-        skipped(format!(
-            "{} is missing, so the methods are not compared on VirtualHome's own scenes",
-            folder.display()
-        ));
-        return;
-    }
-    assert!(maps().len() > embedded::SCENES.len() + 1);
-}
-
-/// A robot's map of rooms with German names, furnished as usual: the fridge implies the kitchen, the sofa the living room. Also with real maps if
-/// present.
+/// A robot's map of rooms with German names, furnished as usual: the fridge implies the kitchen, the sofa the living room.
 #[test]
 fn a_robots_map_with_usual_furniture_forecasts_sensibly() {
     let own = include_str!("../data/valetudo.json")
         .replace("{\"segmentId\":\"3\"", "{\"segmentId\":\"3\",\"name\":\"Wohnzimmer\"");
-    let mut maps = vec![own];
-    let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/valetudo");
-    for file in ["converted_3790.json", "z10_1056_paths.json"] {
-        match std::fs::read_to_string(shared.join(file)) {
-            Ok(text) => maps.push(text),
-            Err(error) => skipped(format!("{file}: {error}")),
-        }
-    }
-    for json in maps {
-        let map = import::valetudo(&json, "robot", &HashMap::new()).unwrap().furnished().unwrap().map;
-        let mut likeliest = likeliest_rooms(&map, Correction::default());
-        for (said, expected) in [("They open the fridge.", "kitchen"), ("They sit down on the sofa.", "living room")] {
-            assert_eq!(likeliest(said), expected, "{said}");
-        }
+    let map = import::valetudo(&own, "robot", &HashMap::new()).unwrap().furnished().unwrap().map;
+    let mut likeliest = likeliest_rooms(&map, Correction::default());
+    for (said, expected) in [("They open the fridge.", "kitchen"), ("They sit down on the sofa.", "living room")] {
+        assert_eq!(likeliest(said), expected, "{said}");
     }
 }
 

@@ -64,6 +64,8 @@ use roomcast_services::narrator::{Account, Item, Who};
 use roomcast_services::planner::{Planner, ReportFault};
 use roomcast_services::reporter::{Kind, Report, Reporter};
 
+use crate::number;
+
 /// Counts of situations; the seeds must reach the first ones, or they prove nothing about them.
 macro_rules! counts {
     ($name:ident: $($reached:ident),*; also: $($also:ident),*) => {
@@ -2012,11 +2014,6 @@ fn attributions(recovered: &Recovered) -> BTreeMap<EventId, PersonId> {
 
 fn is_long(seed: u64) -> bool {
     seed % 4 == 3
-}
-
-fn number(variable: &str) -> Option<u64> {
-    let text = std::env::var(variable).ok()?;
-    Some(text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}: give a number")))
 }
 
 #[test]

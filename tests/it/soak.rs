@@ -20,14 +20,14 @@ use roomcast_services::planner::Planner;
 use roomcast_services::setup;
 
 use crate::alone::is_alone;
+use crate::number;
 
 const EVENTS: u64 = 20_000;
 /// Memory may still grow after the first tenth: allocator caches, and pages of shared memory that are touched for the first time.
 const GROWTH_BYTES: u64 = 4 << 20;
 
 fn events() -> u64 {
-    let Ok(text) = std::env::var("ROOMCAST_SOAK_EVENTS") else { return EVENTS };
-    let events = text.parse().unwrap_or_else(|_| panic!("ROOMCAST_SOAK_EVENTS is {text:?}: give a number"));
+    let events = number("ROOMCAST_SOAK_EVENTS").unwrap_or(EVENTS);
     assert!(events >= 100, "ROOMCAST_SOAK_EVENTS is {events}: give at least 100, so that tenths can be compared");
     events
 }

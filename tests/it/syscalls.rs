@@ -22,6 +22,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::eventually::{eventually, waited};
 use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
+use crate::number;
 use crate::skipped::skipped;
 use roomcast_cli::exit_code;
 
@@ -484,11 +485,6 @@ fn counted(log: &str) -> BTreeMap<&'static str, (u64, u64)> {
         entry.0 = entry.0.max(count);
     }
     most
-}
-
-fn number(variable: &str) -> Option<u64> {
-    let text = std::env::var(variable).ok()?;
-    Some(text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}: give a number")))
 }
 
 fn may_trace() -> bool {

@@ -542,17 +542,6 @@ fn payloads_and_topics_stay_inside_the_sentence_of_their_rule() {
 }
 
 #[test]
-fn rules_say_who_is_where() {
-    let rules = "[[rule]]\ntopic = \"motion/+\"\nwhen = \"on\"\npresence = \"present\"\nroom = \"{1}\"\n\
-        [[rule]]\ntopic = \"phone/+\"\nwhen = \"not_home\"\npresence = \"away\"\nperson = \"{1}\"";
-    let mut listener = Listener::new(Rules::parse(rules).unwrap());
-    let mut said = |topic, payload| hear(&mut listener, topic, payload, false);
-    assert_eq!(said("motion/living_room", "on").unwrap(), r#"{"presence":"present","room":"living room"}"#);
-    assert_eq!(said("phone/ada", "not_home").unwrap(), r#"{"person":"ada","presence":"away"}"#);
-    assert_eq!(said("phone/ada", "home"), None);
-}
-
-#[test]
 fn silence_after_the_front_door_says_that_they_are_away() {
     let rules = "[[rule]]\ntopic = \"door\"\nwhen = \"closed\"\nsay = \"They close the front door.\"\n\
         [[rule]]\ntopic = \"door\"\nwhen = \"closed\"\npresence = \"away\"\nperson = \"ada\"\nquiet_s = 600.0\n\
@@ -654,15 +643,6 @@ fn malformed_rules_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let error = Rules::load(&pem(folder.path(), "rules.toml", "")).unwrap_err().to_string();
     assert!(error.ends_with("docs/mqtt.md shows what they look like"), "{error}");
-}
-
-#[test]
-fn what_no_rule_speaks_of_makes_the_next_value_news() {
-    let mut listener = Listener::new(Rules::parse(RULES).unwrap());
-    let door = "home/binary_sensor/fridge_door/state";
-    let said = ["on", "on", "off", "on", "off", "on"].map(|value| hear(&mut listener, door, value, false).is_some());
-    assert_eq!(said, [true, false, false, true, false, true]);
-    assert_eq!(listener.heard, Heard { said: 3, unfit: 2, silent: 1, ..Heard::default() });
 }
 
 #[test]
@@ -815,39 +795,6 @@ async fn a_client_whose_place_is_taken_says_so() {
         }
     };
     assert!(broken(&error).contains("another client has this one's name"), "{error}");
-}
-
-/// A real broker with retained messages, restarted in the middle: the narration is complete and in order.
-#[test]
-fn nothing_is_lost_over_a_restart_of_the_broker() {
-    let Some((broker, port)) = Mosquitto::ready() else { return };
-    broker.publish(&[("home/switch/oven/json", r#"{"state": {"power": "on"}}"#.into(), true)]);
-    let rules = Rules::parse("[[rule]]\ntopic = \"home/step\"\nsay = \"They do step {value}.\"\n[[rule]]\ntopic = \"home/+/+/json\"\nfield = \"/state/power\"\nsay = \"the {2} is {value}\"\nretained = true").unwrap();
-    let (reader, writer) = std::io::pipe().unwrap();
-    let stop = Stop::new();
-    let own_stop = stop.clone();
-    let to = Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "listener".into(), ..Broker::default() };
-    let listening = std::thread::spawn(move || listen(to.options().unwrap(), rules, writer, &own_stop));
-    let mut lines = BufReader::new(reader).lines().map(Result::unwrap);
-    // The retained message comes first, so the subscription is active.
-    assert!(lines.next().unwrap().contains("the oven is on"));
-    let steps = |range: std::ops::Range<u32>| range.map(|n| ("home/step", n.to_string(), false)).collect::<Vec<_>>();
-    // These are enough to recognise that the broker counts its identifiers.
-    broker.publish(&steps(1000..1100));
-    for n in 1000..1100 {
-        assert!(lines.next().unwrap().contains(&format!("They do step {n}.")));
-    }
-    broker.publish(&steps(0..50));
-    let broker = broker.restart();
-    // The listener may not be back yet, but its session is.
-    broker.publish(&steps(50..100));
-    for n in 0..100 {
-        let line = lines.next().unwrap();
-        assert!(line.contains(&format!("They do step {n}.")), "step {n}: {line}");
-    }
-    stop.request();
-    let heard = listening.join().unwrap().unwrap();
-    assert_eq!((heard.said, heard.unfit), (201, 0));
 }
 
 /// The lock of tests that measure the memory of this process, so that one does not see the other's.
@@ -1729,62 +1676,4 @@ fn a_state_is_said_when_it_has_lasted() {
         |keys: &str| Rules::parse(&format!("[[rule]]\ntopic = \"a\"\npresence = \"present\"\n{keys}")).unwrap_err();
     assert!(error("for_s = 0.0").contains("for_s is 0; give seconds above 0, at most 86400"));
     assert!(error("for_s = 5.0\nquiet_s = 5.0").contains("for_s excludes quiet_s"));
-}
-
-/// Fourteen devices of a home, in at most sixty lines.
-#[test]
-fn a_home_of_fourteen_devices_is_a_short_file() {
-    let rules = r#"
-[[rule]]                                   # five motion sensors
-topic = "zigbee2mqtt/{room}_motion"
-field = "/occupancy"
-sensor = "motion"
-
-[[rule]]                                   # three presence sensors
-topic = "zigbee2mqtt/{room}_presence"
-field = "/presence"
-sensor = "presence"
-
-[[rule]]                                   # the front door
-topic = "zigbee2mqtt/front_door"
-field = "/contact"
-sensor = "door"
-room = "hall"
-
-[[rule]]                                   # a bed
-topic = "zigbee2mqtt/{room}_bed"
-field = "/occupancy"
-sensor = "bed"
-
-[[rule]]                                   # two plugs: washer and kettle
-topic = "zigbee2mqtt/{room}_plug"
-field = "/power"
-above = 5.0
-for_s = 30.0
-sensor = "appliance"
-
-[[rule]]                                   # a camera
-topic = "frigate/events"
-field = "/type"
-equals = "new"
-all = [{ field = "/after/label", equals = "person" }]
-repeats = true
-presence = "present"
-room = "{/after/camera}"
-
-[[rule]]                                   # a phone
-topic = "owntracks/ada/phone/event"
-field = "/event"
-equals = "enter"
-all = [{ field = "/desc", equals = "home" }]
-presence = "present"
-person = "ada"
-"#;
-    assert!(rules.lines().count() <= 60, "{}", rules.lines().count());
-    let rules = Rules::parse(rules).unwrap();
-    for topic in ["hall_motion", "kitchen_presence", "front_door", "bedroom_bed", "bath_plug"] {
-        let payload = br#"{"occupancy": true, "presence": true, "contact": false, "power": 80}"#;
-        let readings = rules.reads(&format!("zigbee2mqtt/{topic}"), payload);
-        assert!(matches!(readings[..], [(_, true)]), "{topic}: {readings:?}");
-    }
 }

@@ -1,12 +1,8 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use iceoryx2::prelude::ZeroCopySend;
-use roomcast_ipc::raw::{
-    DecisionV1, Field, Layout, MAX_ITEMS, Message, NarrationV1, RoomScoresV1, ServiceQuality, action, decision_flags,
-    narration_kind,
-};
-use roomcast_ipc::{MessageError, question, sequence};
+use roomcast_ipc::raw::{DecisionV1, MAX_ITEMS, NarrationV1, RoomScoresV1, action, narration_kind};
+use roomcast_ipc::{question, sequence};
 use rustix::process::Signal;
 
 use super::{PATIENCE, World, eventually, exit_code, includes, own_memory_kib, scores_with, scoring};
@@ -87,27 +83,6 @@ fn answers_are_prepared_on_after_an_event_that_asks_nothing() {
     assert_eq!(before.asked, asked, "it asked nothing");
     // One prefetch in progress may still end; ten more show that the prefetcher continues.
     prepared(&world, before.prepared + 9);
-}
-
-#[test]
-fn the_history_survives_a_killed_daemon_and_nothing_is_taken_twice() {
-    let mut world = World::new("killed");
-    let daemon = world.start_daemon();
-    assert_eq!(world.narrate("camera", "They walk to the kitchen.\nThey grab the mug.\nThey sit on the sofa.\n").0, 0);
-    let node = world.domain.open("test").unwrap();
-    let scores = node.subscriber::<RoomScoresV1>().unwrap();
-    let before = scores_with(&scores, "scores", |scores| includes(scores, "camera", 3));
-    world.end(daemon, Signal::KILL);
-
-    world.start_daemon();
-    let after = scores_with(&scores, "the new daemon's scores", |scores| scores.epoch != before.epoch);
-    assert!(includes(&after, "camera", 3), "{:?}", after.included());
-    assert_eq!(after.window, before.window);
-    for (before, after) in before.rooms().iter().zip(after.rooms()) {
-        assert_eq!(before.id(), after.id());
-        assert!((before.log_score_nats - after.log_score_nats).abs() < 0.02, "the same history gives the same scores");
-    }
-    assert_eq!(world.status(&node).restored, 3);
 }
 
 /// Voluntary context switches of all threads.
@@ -205,38 +180,6 @@ fn what_is_sent_of_a_large_map_is_bounded() {
     assert_eq!(world.narrate("newcomer", "They sit.\n").0, 0);
 }
 
-/// A later version of the scores under the old service name.
-#[derive(Debug, Clone, Copy, Default, ZeroCopySend)]
-#[repr(C)]
-#[type_name("roomcast.RoomScoresV2")]
-struct RoomScoresV2 {
-    epoch: u64,
-}
-
-impl Layout for RoomScoresV2 {
-    const TYPE_NAME: &'static str = "roomcast.RoomScoresV2";
-    const FIELDS: &'static [Field] = &[];
-}
-
-impl Message for RoomScoresV2 {
-    const SERVICE: ServiceQuality = RoomScoresV1::SERVICE;
-
-    fn check(&self) -> Result<(), MessageError> {
-        Ok(())
-    }
-}
-
-#[test]
-fn another_version_of_a_message_is_one_clear_error() {
-    let mut world = World::new("version");
-    let node = world.domain.open("later-daemon").unwrap();
-    let _running = node.publisher::<RoomScoresV2>().unwrap();
-    let planner = world.start(&["planner", "--know", "0"]);
-    let (status, log) = world.wait(planner);
-    assert_eq!(status.code(), Some(i32::from(exit_code::IPC)), "{log}");
-    assert!(log.contains("roomcast.RoomScoresV2") && log.contains("roomcast.RoomScoresV1"), "{log}");
-}
-
 #[test]
 fn a_second_daemon_is_refused_and_the_first_stops_cleanly() {
     let (mut world, first, node, scores) = scoring("second");
@@ -270,28 +213,6 @@ fn whoever_joins_has_the_item_scores_without_a_new_event() {
     let newest = eventually("item scores", || items.newest().unwrap());
     assert_eq!((newest.header.epoch, newest.header.sequence), (scores.epoch, scores.sequence));
     assert!(newest.items.len() > 30 && newest.items.iter().all(|item| item.log_score_nats.is_finite()));
-}
-
-#[test]
-fn a_stopped_daemon_makes_the_planner_stay() {
-    let mut world = World::new("stopped");
-    let daemon = world.start_daemon();
-    let node = world.domain.open("test").unwrap();
-    let decisions = node.subscriber::<DecisionV1>().unwrap();
-    world.start(&["planner", "--know", "0", "--room-time", "0.05"]);
-    let flagged = |wanted: bool| {
-        eventually("a decision", || {
-            let decision = decisions.receive().unwrap()?;
-            (decision.has(decision_flags::FALLBACK) == wanted).then_some(decision)
-        })
-    };
-    assert_eq!(flagged(false).action, action::GO);
-    world.signal(daemon, Signal::STOP);
-    let fallback = flagged(true);
-    assert_eq!(fallback.action, action::STAY);
-    assert_eq!(fallback.from(), fallback.to());
-    world.signal(daemon, Signal::CONT);
-    assert_eq!(flagged(false).action, action::GO);
 }
 
 /// The model file ends with a hole of 64 GiB, so that its checksum takes a minute. Another process tries the file first, unless its checksum is pinned.

@@ -215,36 +215,6 @@ fn two_narrators_of_one_name_are_both_heard() {
     assert_eq!((status.accepted, status.missed, status.forged, status.duplicates), (12, 0, 0, 0));
 }
 
-/// The attack: one process sends events from 1 000 invented sources.
-#[test]
-fn invented_sources_lock_nobody_out() {
-    let mut world = World::new("invented");
-    let daemon = world.start_daemon();
-    let lines: String = (0..4).map(|person| format!("{{\"text\": \"They sit.\", \"person\": {person}}}\n")).collect();
-    assert_eq!(world.narrate("honest", &lines).0, 0);
-    let node = world.domain.open("hostile").unwrap();
-    let narration = node.publisher::<NarrationV1>().unwrap();
-    let said = NarrationV1::new(narration_kind::SENTENCE, "They dance.").unwrap();
-    let before = world.status(&node).received;
-    for number in 1..=1000_u32 {
-        let source = u64::from(number);
-        narration.send(&NarrationV1 { source, epoch: 1, sequence: 1, person: 0, ..said }).unwrap();
-        // A batch fits into the port's buffer, so that every message arrives.
-        if number % 100 == 0 {
-            let all = before + source;
-            eventually("they are received", || (world.status(&node).received == all).then_some(()));
-        }
-    }
-    // The honest narrator has ended. The hostile process has at most eight sources.
-    let status = world.status(&node);
-    assert!(status.sources <= 9 && (status.persons, status.limited) == (4, 0), "{} sources", status.sources);
-    assert_eq!(world.narrate("newcomer", "They sit.\n").0, 0);
-    world.end(daemon, Signal::KILL);
-    drop((narration, node));
-    world.start_daemon();
-    assert_eq!(world.narrate("another", "They sit.\nThey stand up.\n").0, 0);
-}
-
 #[test]
 fn lines_that_are_no_narration_are_named_and_the_others_go_through() {
     let mut world = World::new("lines");

@@ -697,28 +697,6 @@ fn a_flat_is_cleaned_over_a_day_while_a_person_lives_there() {
     assert!(troubled.failed >= 1 && troubled.shared_min < mean, "{troubled:?}");
 }
 
-#[test]
-fn home_assistants_robot_is_driven_by_the_same_driver() {
-    let config = RobotConfig {
-        kind: RobotKind::HomeAssistant,
-        segments: BTreeMap::from([("hall-2".into(), "2".into())]),
-        ..config()
-    };
-    let mut driver = Driver::new(&config, 7);
-    let dialect = Dialect::new(&RobotConfig { topic: "ha/vacuum/dusty".into(), ..config }, "roomcast", "robot");
-    let sense = |driver: &mut Driver, part: &str, payload: &str, s: u64| {
-        driver.sense(dialect.hear(&format!("ha/vacuum/dusty/{part}"), payload.as_bytes()).unwrap(), BootNs(s * S))
-    };
-    sense(&mut driver, "state", "docked", 1);
-    let acts = driver.decide(&decision(1, action::GO, "hall-2"), BootNs(2 * S));
-    assert_eq!(acts, [Act::Order(Order::Clean { segment: "2".into(), room: "hall-2".into() })]);
-    let acts = sense(&mut driver, "state", "cleaning", 3);
-    assert!(matches!(&acts[..], [Act::Report(report)] if report.kind == Kind::Started), "{acts:?}");
-    sense(&mut driver, "state", "returning", 600);
-    let acts = driver.tick(BootNs(604 * S));
-    assert!(acts.iter().any(|act| matches!(act, Act::Report(report) if report.kind == Kind::Finished)), "{acts:?}");
-}
-
 /// The broker, its Wi-Fi or the robot was away for longer than three tries, and the robot continued next to the person afterwards.
 #[test]
 fn what_ends_work_is_told_again_until_it_is_followed() {
