@@ -125,7 +125,7 @@ impl Next {
         Self { same, other, here: None, mixed: Vec::new() }
     }
 
-    /// Drops the latest forecast, so that nothing is learned from it.
+    /// Drops the latest forecast. It teaches no more.
     pub(crate) fn forget_forecast(&mut self) {
         self.other.forget();
         self.mixed.clear();
@@ -231,7 +231,7 @@ impl Next {
     }
 }
 
-/// Writes the rooms of the expected things: where they were found before, over the map's rooms.
+/// Writes the rooms of the expected things: those of earlier turns, over the map's rooms.
 fn rooms_of(
     view: &View<'_>,
     context: &Context,

@@ -147,7 +147,7 @@ impl Pool {
         self.kept[0] = 1.0;
     }
 
-    /// Drops the latest forecast, so that nothing is learned from it.
+    /// Drops the latest forecast. It teaches no more.
     pub(crate) fn forget(&mut self) {
         self.width = 0;
         self.mixed.clear();

@@ -17,7 +17,7 @@ pub(crate) const OTHERS_MAX: usize = 3;
 /// Own observations that outweigh one observation of another person.
 const OTHERS_STRENGTH: f64 = 4.0;
 
-/// A context whose counts are mixed over the forecast of a shorter one.
+/// A context. Its counts are mixed over the forecast of a shorter one.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Level {
     pub(crate) part: Part,

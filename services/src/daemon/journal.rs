@@ -47,7 +47,11 @@ pub const FILE: &str = "roomcast.db";
 /// Its tables; the number marks Roomcast's files.
 pub const SCHEMA: Schema = Schema {
     application: 0x524d_4353,
-    migrations: &[include_str!("journal/schema.sql"), include_str!("journal/departures.sql")],
+    migrations: &[
+        include_str!("journal/schema.sql"),
+        include_str!("journal/departures.sql"),
+        include_str!("journal/names.sql"),
+    ],
 };
 /// Records that may wait for the disk before the sender does.
 const QUEUE: usize = 8_192;
