@@ -3,8 +3,8 @@
 //! Observations are kept as they came. The daemon's attribution and the model's expectation are kept with them, so that a restarted daemon believes
 //! the same. Events from before a change of the map are not read with the new map: a belief keeps their result.
 //!
-//! A commit outlives the daemon at once; a power loss takes at most the last [`JournalOptions::sync_ms`]. The tables are in `journal/schema.sql`
-//! and `journal/departures.sql`.
+//! A commit outlives the daemon at once; a power loss takes at most the last [`JournalOptions::sync_ms`]. The tables are in `journal/schema.sql`,
+//! and their changes in the files after it.
 
 use std::fs;
 use std::io;
