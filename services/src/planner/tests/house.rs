@@ -289,11 +289,11 @@ fn a_robot_that_waits_says_who_is_where_and_for_how_long() {
     assert_eq!(flat.decision(MIN).to(), "kitchen");
 }
 
-/// The map has these rooms in English.
+/// The map has the rooms in English.
 #[test]
 fn rules_of_rooms_apply_by_each_name_that_the_map_knows() {
     let room = ["Küche", "Schlafzimmer"].map(|name| RoomNeeds { exclude: true, ..needs(name) }).to_vec();
-    let mut flat = Flat::new(PlannerConfig { room, ..quiet_hours("09:00-10:00 in Flur") });
+    let mut flat = Flat::new(PlannerConfig { room, ..quiet_hours("09:00-10:00 in Hall") });
     assert_eq!(flat.decision(0).to(), "office");
     assert_eq!(flat.planner.rooms_not_on_the_map(), [""; 0]);
 }
