@@ -27,7 +27,7 @@
 //! `ROOMCAST_SEEDS=10000` runs as many seeds, from `ROOMCAST_FIRST_SEED` on. `ROOMCAST_SEED=17` runs one; if it fails, it prints a trace of its last
 //! 60 (or `ROOMCAST_TRACE`) steps.
 
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
+#![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
 
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};

@@ -788,6 +788,6 @@ fn scores_claim_no_event_that_the_state_database_lacks() {
     let mut cycle = crate::daemon::cycle::Cycle::new(engine(), 250_000_000);
     cycle.enter(entry(PersonId(0), S, "They open the fridge."), 5);
     cycle.step(BootNs(S), UnixNs(S)).unwrap();
-    let mut claims = |written: u64| cycle.message(BootNs(S), written, false).unwrap().source_count;
-    assert_eq!([4, 5].map(|written| claims(written)), [0, 1]);
+    let claims = |written: u64| cycle.message(BootNs(S), written, false).unwrap().source_count;
+    assert_eq!([4, 5].map(claims), [0, 1]);
 }
