@@ -447,7 +447,7 @@ fn a_configuration_is_held_to_what_this_machine_has() {
     let good = format!("{text}{mqtt}").replace("kitchn", "kitchen").replace("10.0.0.5", "mqtt://10.0.0.5");
     assert_eq!(
         check(&good),
-        (true, String::new()),
+        (true, format!("ok: {}\n", folder.path().join("roomcast.toml").display())),
         "rules lie beside their configuration, whatever the working folder"
     );
 }

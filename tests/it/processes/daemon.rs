@@ -244,7 +244,7 @@ fn a_stop_while_the_model_loads_ends_the_daemon_and_the_trial_at_once() {
         world.signal(daemon, Signal::TERM);
         let (status, log) = world.wait(daemon);
         assert!(status.success() && stopped.elapsed() < Duration::from_secs(20), "{status} {log}");
-        assert!(log.contains("unless daemon.state names a folder"), "{log}");
+        assert!(pin.is_empty() || log.contains("unless daemon.state names a folder"), "{log}");
         eventually("the trial ends", || opened(reader).is_none().then_some(()));
     }
 }
