@@ -219,7 +219,7 @@ impl Names {
         bare(text)
     }
 
-    /// As [`Names::bare`], with one form for each spelling of an umlaut: "Küche", "kuche" and "Kueche" are equal.
+    /// The plain form of a name, with one form for each spelling of an umlaut: "Küche", "kuche" and "Kueche" are equal.
     #[must_use]
     pub fn folded(text: &str) -> String {
         [("ae", "a"), ("oe", "o"), ("ue", "u")].iter().fold(bare(text), |text, (two, one)| text.replace(two, one))

@@ -494,6 +494,27 @@ fn presence(sequence: u64, person: PersonId, text: &str) -> Observation {
     Observation { event: Event::presence(text).unwrap(), ..observation(sequence, person) }
 }
 
+/// A long silence ends a window, and the person is scored once more.
+#[test]
+fn what_lies_hours_back_leaves_the_prompt() {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let mut silent = pipeline(&map, Effort::Exact, CORRECTED);
+    let mut unknown = pipeline(&map, Effort::Exact, CORRECTED);
+    silent.step([observation(1, PersonId(0)), observation(2, PersonId(0))]).unwrap();
+    assert!(
+        silent.intake().end_window(PersonId(0))
+            && !silent.intake().end_window(PersonId(0))
+            && !silent.intake().end_window(PersonId(1))
+    );
+    silent.score().unwrap();
+    unknown.score().unwrap();
+    assert_eq!(silent.inside().person(PersonId(0)).unwrap().window, 0);
+    assert_eq!(silent.scores().grounded.partition_probability, unknown.scores().grounded.partition_probability);
+    assert_eq!(silent.scores().stats.calls, 1, "one person was scored");
+    silent.score().unwrap();
+    assert_eq!(silent.scores().stats.calls, 0, "and once");
+}
+
 fn values(scores: PersonScores) -> (Vec<u64>, Effort) {
     let GroundedScores { partition_log_score_nats, partition_probability, label_mass, .. } = scores.grounded;
     let all = [
