@@ -88,9 +88,9 @@ pub enum InputError {
         /// The system's error.
         source: io::Error,
     },
-    /// Neither a file nor the name of a shipped activity program.
+    /// Neither a file nor the name of an included activity program.
     #[error(
-        "there is no file {name}: give a program's file, a file of lines, or a shipped program by its name, {}",
+        "there is no file {name}: give a program's file, a file of lines, or an included program by its name, {}",
         embedded::program_names()
     )]
     Missing {

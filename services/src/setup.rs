@@ -25,9 +25,9 @@ pub enum SetupError {
     /// The scene failed.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// Neither a file nor the name of a shipped scene.
+    /// Neither a file nor the name of an included scene.
     #[error(
-        "there is no scene {path}: give a scene's file, or a shipped scene by its name, {}{}",
+        "there is no scene {path}: give a scene's file, or an included scene by its name, {}{}",
         embedded::scene_names(),
         did_you_mean(last(.path), embedded::SCENES.iter().map(|scene| scene.name))
     )]
@@ -35,9 +35,9 @@ pub enum SetupError {
         /// The given path.
         path: String,
     },
-    /// Neither a file nor the name of a shipped activity program.
+    /// Neither a file nor the name of an included activity program.
     #[error(
-        "there is no activity program {path}: give a program's file, or a shipped program by its name, {}{}",
+        "there is no activity program {path}: give a program's file, or an included program by its name, {}{}",
         embedded::program_names(),
         did_you_mean(last(.path), embedded::PROGRAMS.iter().chain(&embedded::WORK_PROGRAMS).map(|program| program.name))
     )]
@@ -104,7 +104,7 @@ pub fn load_model(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaMo
     Ok(model)
 }
 
-/// Loads the scene file at `path`, a shipped scene if `path` is its bare name, or by default the studio flat.
+/// Loads the scene file at `path`, an included scene if `path` is its bare name, or by default the studio flat.
 ///
 /// # Errors
 /// When the file is missing or malformed.
@@ -125,7 +125,7 @@ pub fn load_map(path: Option<&Path>) -> Result<SemanticMap, SetupError> {
     Ok(map)
 }
 
-/// Loads the activity program at `path`, or a shipped program if `path` is its bare name.
+/// Loads the activity program at `path`, or an included program if `path` is its bare name.
 ///
 /// # Errors
 /// When the file is missing or malformed.
@@ -139,10 +139,10 @@ pub fn load_program(path: &Path) -> Result<Program, SetupError> {
     Ok(Program::load(path)?)
 }
 
-/// The shipped program with the bare name `path`, unless a file has that name.
+/// The included program with the bare name `path`, unless a file has that name.
 ///
 /// # Errors
-/// If the program is malformed; a test of the shipped programs excludes that.
+/// If the program is malformed; a test of the included programs excludes that.
 pub fn shipped_program(path: &Path) -> Option<Result<Program, ProgramError>> {
     let shipped = path.to_str().filter(|_| !path.exists()).and_then(embedded::program)?;
     Some(Program::parse(shipped.text))

@@ -11,7 +11,7 @@ use crate::exit_code;
 pub struct Args {
     #[command(flatten)]
     service: service::Args,
-    /// The scene file, or a shipped scene's name, in place of the configuration's.
+    /// The scene file, or an included scene's name, in place of the configuration's.
     #[arg(long, value_name = "FILE")]
     scene: Option<PathBuf>,
     /// The GGUF model, in place of the configuration's.

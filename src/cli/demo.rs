@@ -51,10 +51,10 @@ const TOP_OBJECTS: usize = 5;
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The scene file, or a shipped scene's name.
+    /// The scene file, or an included scene's name.
     #[arg(long, value_name = "FILE", default_value = "apartment-e0")]
     scene: PathBuf,
-    /// The activity program, or a shipped one's name.
+    /// The activity program, or an included one's name.
     #[arg(long, value_name = "FILE", default_value = "p0-breakfast-and-television")]
     program: PathBuf,
     /// A GGUF model; the embedded household model when left out.

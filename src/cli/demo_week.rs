@@ -1,6 +1,6 @@
 //! `roomcast demo --days N`: some days of one home in a minute, in which the forecast improves.
 //!
-//! The person's days consist of the shipped activity programs at nearly the same hours, and of an absence on working days. The events go through the
+//! The person's days consist of the included activity programs at nearly the same hours, and of an absence on working days. The events go through the
 //! daemon's own [`Engine`], with its model, its habits and a tick every minute, and through a second one that learns nothing. Once a minute both
 //! forecast the person's place a quarter of an hour later, and are scored then.
 
@@ -37,7 +37,7 @@ const FLOOR: f64 = 1e-6;
 const BAR_WIDTH: usize = 20;
 const WEEKDAYS: [&str; 7] = ["Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday"];
 
-/// An activity of a day: a shipped program, its start, the spread of the start between days, and the time per action; in minutes.
+/// An activity of a day: an included program, its start, the spread of the start between days, and the time per action; in minutes.
 type Habit = (&'static str, f64, f64, f64);
 
 const WORKDAY: [Habit; 3] = [

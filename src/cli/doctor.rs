@@ -214,7 +214,7 @@ fn locked_memory(wanted: bool, model_bytes: u64) -> Finding {
     }
 }
 
-/// Loads scene and model as the daemon does, each with a finding, and times events of a shipped program if both are good.
+/// Loads scene and model as the daemon does, each with a finding, and times events of an included program if both are good.
 fn model_and_scene(config: &Config) -> (Vec<Finding>, Option<(SemanticMap, Grounding)>) {
     let (scene, map) = scene(config);
     let (model, loaded) = model(config);
@@ -238,7 +238,7 @@ fn scene(config: &Config) -> (Finding, Option<(SemanticMap, Grounding)>) {
     let (map, grounding) = match read {
         Ok(read) => read,
         Err(error) => {
-            let remedy = "roomcast scene check FILE names every fault; without scene.path the shipped studio is used";
+            let remedy = "roomcast scene check FILE names every fault; without scene.path the included studio is used";
             return (Finding::wrong("scene", chain(&error), remedy), None);
         }
     };
@@ -287,7 +287,7 @@ fn model(config: &Config) -> (Finding, Option<LlamaModel>) {
     }
 }
 
-/// The time of each event of a shipped program in milliseconds, sorted.
+/// The time of each event of an included program in milliseconds, sorted.
 fn times_ms(config: &Config, map: &SemanticMap, model: LlamaModel) -> Result<Vec<f64>, Box<dyn std::error::Error>> {
     let mut pipeline = setup::open_with(config, map, |_| Ok(model))?;
     let sentences = Program::parse(embedded::PROGRAMS[0].text).map(|program| program.steps).unwrap_or_default();

@@ -15,7 +15,7 @@ use crate::exit_code;
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The scene file, or the name of a shipped one.
+    /// The scene file, or the name of an included one.
     scene: PathBuf,
     /// The drawing; the ending, `.svg` or `.png`, selects the format; PNG needs a build with the feature `png`. By default the scene's name with
     /// `.svg`, in this folder.

@@ -46,10 +46,10 @@ pub struct Args {
     /// How many likely next sentences the daemon scores ahead (`scoring.prepare`), in place of the default.
     #[arg(long, value_name = "N", value_parser = ranges::whole(0..=ANSWERS_MAX))]
     prepare: Option<usize>,
-    /// A file with the sentences to narrate, a line each, repeated; by default those of the shipped programs.
+    /// A file with the sentences to narrate, a line each, repeated; by default those of the included programs.
     #[arg(long, value_name = "FILE")]
     sentences: Option<PathBuf>,
-    /// The scene file, or a shipped scene's name.
+    /// The scene file, or an included scene's name.
     #[arg(long, value_name = "FILE", default_value = "apartment-e0")]
     scene: PathBuf,
     /// A GGUF model; by default the embedded household model.
@@ -282,7 +282,7 @@ fn wait_for(stage: &mut Stage, stop: &Stop, mut there: impl FnMut() -> Result<bo
     Ok(())
 }
 
-/// The actions of the shipped programs, or the lines of a file.
+/// The actions of the included programs, or the lines of a file.
 fn sentences(file: Option<&std::path::Path>) -> Result<Vec<String>, Failure> {
     let mut sentences = Vec::new();
     if let Some(file) = file {

@@ -26,7 +26,7 @@ const OTHER_INPUTS: [&str; 4] = ["input", "fifo", "sensors", "speed"];
 pub struct Args {
     #[command(flatten)]
     service: service::Args,
-    /// An activity program (or a shipped one's name), JSON lines (docs/json-lines.md), or plain lines; `-` is standard input.
+    /// An activity program (or an included one's name), JSON lines (docs/json-lines.md), or plain lines; `-` is standard input.
     #[arg(value_name = "FILE", default_value = "-", conflicts_with = "fifo")]
     input: PathBuf,
     /// Make a FIFO there and publish the lines written into it, without end.

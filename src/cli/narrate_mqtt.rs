@@ -49,7 +49,7 @@ pub(super) fn listen(
 pub(super) fn rehearse(broker: &Broker, rules: &Path, config: &Config, stop: &Stop) -> CommandResult {
     let rules = Rules::load(rules).map_err(broker::failure)?;
     let options = broker.options().map_err(broker::failure)?;
-    // The shipped studio is not this home: its rooms do not matter for the rules.
+    // The included studio is not this home: its rooms do not matter for the rules.
     let map = config.scene.path.as_deref().map(|path| setup::load_map(Some(path))).transpose()?;
     let grounding = map.as_ref().map(|map| Grounding::new(map, &config.grounding)).transpose();
     let grounding = grounding.map_err(|error| Failure::new(exit_code::CONFIG, error))?;

@@ -47,7 +47,7 @@ enum Command {
 
 #[derive(Debug, clap::Args)]
 struct Change {
-    /// The scene file, or the name of a shipped one.
+    /// The scene file, or the name of an included one.
     scene: PathBuf,
     /// A JSON list of changes; scenes/README.md documents them.
     changes: PathBuf,
@@ -88,7 +88,7 @@ struct Check {
 
 #[derive(Debug, clap::Args)]
 struct Show {
-    /// The scene file, or the name of a shipped one.
+    /// The scene file, or the name of an included one.
     scene: PathBuf,
     /// The level of a partition.
     #[arg(long, value_parser = choice::<PartitionLevel>(), default_value_t)]
@@ -348,7 +348,7 @@ fn check(args: &Check) -> CommandResult {
     }
 }
 
-/// Whether a scene is neither a file nor a shipped one.
+/// Whether a scene is neither a file nor an included one.
 pub(super) fn is_missing(scene: &Path) -> bool {
     matches!(setup::load_map(Some(scene)), Err(SetupError::NoScene { .. }))
 }

@@ -24,7 +24,7 @@ use roomcast_services::setup;
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The scene file, or the name of a shipped one; by default the studio flat.
+    /// The scene file, or the name of an included one; by default the studio flat.
     #[arg(long, value_name = "FILE")]
     scene: Option<PathBuf>,
     /// The last actions, as sentences or VirtualHome actions; several stand on separate lines, or end with a full stop and a space.
@@ -33,7 +33,7 @@ pub struct Args {
     /// The same as TEXT.
     #[arg(long, value_name = "TEXT", conflicts_with_all = ["program", "text"])]
     narration: Option<String>,
-    /// An activity program, or a shipped one's name; its first steps are the narration.
+    /// An activity program, or an included one's name; its first steps are the narration.
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
     /// How many steps of the program were done; by default all.

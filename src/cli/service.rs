@@ -124,7 +124,7 @@ pub fn shown(domain: &Domain) -> String {
 }
 
 /// Whether this input has an end, so that an earlier stop counts as an interruption. Pipes, FIFOs and terminals have none. `-` is standard input; a
-/// name that is no file is of a shipped program.
+/// name that is no file is of an included program.
 pub fn has_end(path: &Path) -> bool {
     if path.as_os_str() == "-" {
         let about = rustix::fs::fstat(std::io::stdin());

@@ -118,7 +118,7 @@ fn things(config: &Config, map: &SemanticMap, grounding: &Grounding, place: &Pla
     let check = "things";
     let file = config.scene.path.as_ref().map(|path| path.display().to_string());
     let Some(file) = file else {
-        let found = format!("{} names no map, so the shipped studio stands for this home", place.shown());
+        let found = format!("{} names no map, so the included studio stands for this home", place.shown());
         return Finding::limited(check, found, "roomcast init makes a map of your home; or set scene.path");
     };
     let remedy = "import it again with --furnish typical, or add items (scenes/README.md)";
