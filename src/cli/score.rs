@@ -234,7 +234,7 @@ pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap
     })
 }
 
-/// A flag of the scores, and what it means.
+/// A flag of the scores, and its meaning.
 fn warning<M: LanguageModel>(pipeline: &Pipeline<M>) -> Option<(&'static str, String)> {
     match (&pipeline.inside().model().weakness, pipeline.scores().trust) {
         (Some(reason), _) => {

@@ -127,7 +127,7 @@ fn persons_are_named_and_forgotten_over_a_kill() {
     assert_eq!((code, persons(&answer)), (0, vec![row("7", "Ben", "away")]), "{errors}");
     let files = ["roomcast.db", "roomcast.db-wal"].map(|name| std::fs::read(world.state().join(name)).unwrap());
     let journal = String::from_utf8_lossy(&files.concat()).into_owned();
-    // What named nobody and was found to be hers, too.
+    // Also an event without a name that the daemon attributed to her.
     assert!(!journal.to_lowercase().contains("ada") && !journal.contains("the fridge"), "{journal}");
     assert!(journal.contains("They lie on the bed."));
     world.end(daemon, Signal::KILL);
