@@ -53,6 +53,13 @@ struct Browser {
     _profile: tempfile::TempDir,
 }
 
+impl Drop for Browser {
+    /// Without the end of the session, the browser outlives its driver.
+    fn drop(&mut self) {
+        let _ended = self.agent.delete(&self.session).call();
+    }
+}
+
 impl Browser {
     /// `None` if no browser is installed.
     fn start() -> Option<Self> {
