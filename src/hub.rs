@@ -730,6 +730,52 @@ mod tests {
         assert!(matches!(private_folder(&folder), Err(HubError::Shared(_))));
     }
 
+    #[test]
+    fn nothing_is_kept_of_a_damaged_file() {
+        let (mut content, sum) = content();
+        let last = content.len() - 1;
+        content[last] ^= 1;
+        let server = Server::start(content, sum.clone(), None);
+        let cache = tempfile::tempdir().unwrap();
+        let Err(HubError::Checksum { wanted, .. }) = pull(&server.hub(cache.path()), &TINY) else {
+            panic!("a damaged file must be refused");
+        };
+        assert_eq!(wanted, sum);
+        assert!(files(cache.path()).is_empty());
+    }
+
+    /// Regression: the first release checked one answer and used the next, with a path as its tag. It could write any file of the user.
+    #[test]
+    fn a_second_answer_cannot_choose_the_path() {
+        let outside = tempfile::tempdir().unwrap();
+        let victim = outside.path().join("victim");
+        std::fs::write(&victim, "precious").unwrap();
+        let (content, sum) = content();
+        let (tag, mut asked) = (victim.display().to_string(), 0);
+        let server = Server::answering(move |path, _, base| {
+            if path == "/content" {
+                return (
+                    format!("HTTP/1.1 200 OK\r\nETag: \"{tag}\"\r\nContent-Length: {}", content.len()),
+                    content.clone(),
+                );
+            }
+            asked += 1;
+            let tag = if asked == 1 { &sum } else { &tag };
+            (
+                format!(
+                    "HTTP/1.1 302 Found\r\nLocation: {base}/content\r\nX-Linked-ETag: \"{tag}\"\r\nX-Repo-Commit: {tag}\r\nContent-Length: 0"
+                ),
+                Vec::new(),
+            )
+        });
+        let cache = tempfile::tempdir().unwrap();
+        for _ in 0..2 {
+            let _ = pull(&server.hub(cache.path()), &TINY);
+            assert_eq!(std::fs::read_to_string(&victim).unwrap(), "precious");
+        }
+        assert_eq!(files(cache.path()).iter().filter(|path| path.extension().is_some_and(|e| e == "gguf")).count(), 1);
+    }
+
     /// Hubs with false headers, by seed. No file outside the cache may change, and a file with its final name has the requested checksum.
     #[test]
     fn hostile_hubs_write_nothing_but_what_was_asked_for() {
