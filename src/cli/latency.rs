@@ -60,7 +60,7 @@ pub struct Args {
     json: bool,
 }
 
-/// Arguments of `roomcast latency-end`, which a measurement starts.
+/// Arguments of `roomcast measured-end`, which a measurement starts.
 #[derive(Debug, clap::Args)]
 pub struct EndArgs {
     /// Answer over this yardstick's path; by default keep every core busy.
@@ -163,7 +163,7 @@ pub fn run_end(args: &EndArgs) -> CommandResult {
         return Ok(());
     };
     let (_, domain) = args.service.load()?;
-    let node = domain.open("roomcast-latency-end").map_err(|error| Failure::new(exit_code::IPC, error))?;
+    let node = domain.open("roomcast-measured-end").map_err(|error| Failure::new(exit_code::IPC, error))?;
     Ok(latency::echo(path, &node, &stop)?)
 }
 
@@ -221,7 +221,7 @@ fn on_stage(
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
     wait_for(stage, stop, || scores.newest().map(|scores| scores.is_some()).map_err(ipc))?;
     if load == "busy" {
-        stage.start("latency-end", &[])?;
+        stage.start("measured-end", &[])?;
     }
     let sentences = sentences(args.sentences.as_deref())?;
     probes.push(Probe::Scores(Narrator::new(node, "latency", &sentences)?, scores));
@@ -260,12 +260,12 @@ fn on_stage(
 fn yardsticks(stage: &mut Stage, node: &Node) -> Result<Vec<Probe>, Failure> {
     let echo = |path: &str| ["--echo".into(), path.into()];
     let (counters, input, output) = Probe::eventfd()?;
-    stage.start_with("latency-end", &echo("eventfd"), Stdio::from(input), Stdio::from(output))?;
+    stage.start_with("measured-end", &echo("eventfd"), Stdio::from(input), Stdio::from(output))?;
     let (socket, there) = Probe::unix_socket()?;
-    stage.start_with("latency-end", &echo("unix-socket"), Stdio::from(there), Stdio::null())?;
+    stage.start_with("measured-end", &echo("unix-socket"), Stdio::from(there), Stdio::null())?;
     // The sender of requests must exist before its listener.
     let bare = Probe::bare_iceoryx2(node)?;
-    stage.start("latency-end", &echo("bare-iceoryx2"))?;
+    stage.start("measured-end", &echo("bare-iceoryx2"))?;
     Ok(vec![counters, socket, bare])
 }
 

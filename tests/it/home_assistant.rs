@@ -233,7 +233,12 @@ impl Talk {
         }
     }
 
-    fn ask(&mut self, mut question: Value) -> Value {
+    fn ask(&mut self, question: Value) -> Value {
+        self.try_ask(question).unwrap()
+    }
+
+    /// The error is the question and the answer.
+    fn try_ask(&mut self, mut question: Value) -> Result<Value, String> {
         self.asked += 1;
         question["id"] = self.asked.into();
         self.say(&question);
@@ -242,16 +247,18 @@ impl Talk {
             if answer["type"] == "event" {
                 self.events.push(answer["event"].take());
             } else if answer["id"] == self.asked {
-                assert_eq!(answer["success"], true, "{question}: {answer}");
-                return answer["result"].take();
+                let is_done = answer["success"] == true;
+                return if is_done { Ok(answer["result"].take()) } else { Err(format!("{question}: {answer}")) };
             }
         }
     }
 
+    /// A Home Assistant that has just started does not know the service yet.
     fn turn(&mut self, switch: &str, on: bool) {
         let service = if on { "turn_on" } else { "turn_off" };
         let target = json!({"entity_id": format!("input_boolean.{switch}")});
-        self.ask(json!({"type": "call_service", "domain": "input_boolean", "service": service, "target": target}));
+        let _known = self
+            .try_ask(json!({"type": "call_service", "domain": "input_boolean", "service": service, "target": target}));
     }
 
     fn state(&mut self, id: &str) -> Option<String> {

@@ -5,9 +5,11 @@ use super::*;
 impl Planner {
     /// The robot stays, since the scores are stale.
     pub(super) fn fall_back(&mut self, stale: u32) -> Option<DecisionV1> {
-        if self.robot.work.is_some() || self.is_finished() || self.phase == Phase::FellBack {
+        let works = self.robot.work.as_ref().is_some_and(|work| !work.waits);
+        if works || self.is_finished() || self.phase == Phase::FellBack {
             return None;
         }
+        self.robot.work = None;
         // A robot that made way for a person does not stay next to that person.
         let (action, to, does) = match self.phase {
             Phase::Pauses(_) => (action::PAUSE, None, "the robot had paused, and goes on pausing"),

@@ -1034,6 +1034,9 @@ fn a_room_to_wait_in_is_no_room_to_work_in() {
     assert_eq!((waits.from(), waits.to(), waits.covered), ("room-1", "room-0", 0b001));
     assert_eq!((waits.action, waits.cancels), (action::STAY, second.sequence), "{}", waits.reason());
     assert!(waits.reason().contains("waits in a room that is done"), "{}", waits.reason());
+    // The wait ends with the scores, not with its time.
+    let silent = home.planner.decide(BootNs(118 * S), UnixNs(0)).unwrap().unwrap();
+    assert!(silent.has(decision_flags::FALLBACK | decision_flags::DAEMON_SILENT), "{}", silent.reason());
     // Work follows as soon as it is possible.
     home.likely = vec![0.0, 0.9, 0.0];
     assert_eq!((home.decision(120).action, home.planner.room()), (action::GO, Some(2)));
