@@ -40,8 +40,6 @@ impl Planner {
             return None;
         }
         self.said = (reason.to_owned(), now_ns);
-        // The end of the earlier work may have the same reason.
-        let reason = if self.notice.why.contains(reason) { "The robot waits." } else { reason };
         let decision = self.decision(None, reason);
         Some(DecisionV1 { action: action::PAUSE, ..decision })
     }
@@ -91,7 +89,7 @@ impl Planner {
             cancels,
             policy: text::encode_cut(self.policy.name().as_str()),
             robot_name: self.name,
-            reason: text::encode_cut(&format!("{why}{reason}")),
+            reason: text::encode_cut(&in_sentences(&format!("{why}{reason}"))),
             ..Default::default()
         };
         if let Some(scores) = &self.scores {
