@@ -70,7 +70,7 @@ const JOURNAL_BYTES_MIN: u64 = 8192;
 #[non_exhaustive]
 pub enum ConfigError {
     /// The file cannot be read.
-    #[error("failed to read the configuration {path}: {source}; `roomcast config > FILE` makes one")]
+    #[error("failed to read the configuration {path}: {source}{}", if source.kind() == std::io::ErrorKind::NotFound { "; `roomcast config > FILE` makes one" } else { "" })]
     Read {
         /// The file.
         path: PathBuf,
