@@ -9,7 +9,9 @@ impl Planner {
         if works || self.is_finished() || self.phase == Phase::FellBack {
             return None;
         }
-        self.robot.work = None;
+        if let Some(waiting) = self.robot.work.take() {
+            self.notice.cancels = self.own_decision(&waiting);
+        }
         // A robot that made way for a person does not stay next to that person.
         let (action, to, does) = match self.phase {
             Phase::Pauses(_) => (action::PAUSE, None, "the robot had paused, and goes on pausing"),

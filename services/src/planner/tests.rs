@@ -1037,6 +1037,7 @@ fn a_room_to_wait_in_is_no_room_to_work_in() {
     // The wait ends with the scores, not with its time.
     let silent = home.planner.decide(BootNs(118 * S), UnixNs(0)).unwrap().unwrap();
     assert!(silent.has(decision_flags::FALLBACK | decision_flags::DAEMON_SILENT), "{}", silent.reason());
+    assert_eq!(silent.cancels, waits.sequence);
     // Work follows as soon as it is possible.
     home.likely = vec![0.0, 0.9, 0.0];
     assert_eq!((home.decision(120).action, home.planner.room()), (action::GO, Some(2)));
