@@ -30,7 +30,7 @@ fn eventually<T>(what: &str, attempt: impl FnMut() -> Option<T>) -> T {
 
 fn program() -> Option<PathBuf> {
     let named = std::env::var_os("ROOMCAST_HOME_ASSISTANT").map(PathBuf::from);
-    let own = Path::new(env!("CARGO_BIN_EXE_roomcast")).parent().unwrap().join("../home-assistant/bin/hass");
+    let own = Path::new(env!("CARGO_BIN_EXE_roomcast")).parent().unwrap().join("../home-assistant-3.11/bin/hass");
     named.or(Some(own)).filter(|program| program.exists())
 }
 
