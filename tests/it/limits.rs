@@ -147,9 +147,9 @@ fn page() -> String {
         "Habits",
         &[
             ("persons with habits", &habits::PERSONS_MAX, "the person with the fewest events is dropped"),
-            ("names of things", &options.names_max, "further ones are not learned"),
-            ("contexts, of 20 bytes", &options.contexts_max, "the least useful is dropped"),
-            ("blocks of four counts, of 28 bytes", &options.blocks_max, "the least useful is dropped"),
+            ("names of things", &options.names_max, "the one with the fewest counts gives way"),
+            ("contexts", &options.contexts_max, "the least useful are dropped"),
+            ("counts", &options.counts_max, "the least useful contexts are dropped"),
             ("bytes of the file", &habits::BYTES_MAX, "set aside"),
             ("bytes of an import", &daemon::IMPORT_BYTES_MAX, "refused"),
         ],

@@ -1,6 +1,9 @@
-//! The facts of a forecast, as keys of counts: the place, the last things, time spent and the part of the day.
+//! The facts of a forecast: the place, the last things, time spent and the part of the day. A level is a context that some of them form.
+//!
+//! A key of counts has 64 bits: the level's number, the person's slot, and up to three facts. More than three things are a digest of 48 bits; two
+//! contexts collide once in 10^14.
 
-use super::parts::{NONE, Part, SLOT_MASK, TIMES_MAX, digest, key};
+use super::counts::splitmix;
 
 /// Hours of one part of the day, from midnight on, in local time.
 pub const PART_HOURS: u16 = 3;
@@ -11,66 +14,154 @@ pub(crate) const CLASSES_S: [f64; 6] = [15.0, 60.0, 240.0, 960.0, 3_840.0, 15_36
 pub(crate) const CLASSES: usize = CLASSES_S.len() + 1;
 /// Things of the longest context.
 pub(crate) const LAST: usize = 5;
+pub(crate) const NONE: u16 = u16::MAX;
+/// Bits of the slot; the bits above hold how often the last thing was mentioned in a row, up to a limit.
+pub(crate) const SLOT_MASK: u8 = 0x3f;
+const TIMES_MAX: u8 = 3;
 
-/// The facts of a forecast.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Fact {
+    Nothing,
+    Here,
+    /// The last different things.
+    Last,
+    Second,
+    Third,
+    /// The digests of the last four things and of the last five.
+    Four0,
+    Four1,
+    Four2,
+    Five0,
+    Five1,
+    Five2,
+    /// Classes of the time between the last two observations, and of the time spent here.
+    Pace,
+    Spent,
+    Horizon,
+    HorizonSpent,
+    /// Parts of the day, of two hours and of three.
+    Hours2,
+    Hours3,
+}
+
+/// The facts of a forecast, and how often the last thing was mentioned again.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Context {
-    pub(crate) here: u16,
-    /// The last different things, the latest first, and the number of repeated mentions of the latest.
-    pub(crate) last: [u16; LAST],
-    pub(crate) times: u8,
-    /// Classes of the time spent here and of the time between the last two observations.
-    pub(crate) spent: u16,
-    pub(crate) pace: u16,
-    pub(crate) horizon: u16,
-    pub(crate) at_s: f64,
+    facts: [u16; Fact::Hours3 as usize + 1],
+    times: u8,
 }
 
 impl Context {
-    /// Of a stay, without things.
-    pub(crate) fn of_stay(here: u16, spent: u16, at_s: f64) -> Self {
-        Self { here, last: [NONE; LAST], times: 0, spent, pace: 0, horizon: 0, at_s }
+    pub(crate) fn new(here: u16, spent: u16, at_s: f64) -> Self {
+        let hour = ((at_s.rem_euclid(86_400.0) / 3_600.0) as u16).min(23);
+        let facts =
+            [(Fact::Here, here), (Fact::Spent, spent), (Fact::Hours2, hour / 2), (Fact::Hours3, hour / PART_HOURS)];
+        Self { facts: [NONE; _], times: 0 }.with(facts)
     }
 
-    pub(crate) fn key(&self, part: Part, slot: u8) -> u64 {
-        let (times, after) = self.numbers(part);
-        key(part, slot & SLOT_MASK | times.min(TIMES_MAX) << 6, after)
+    fn with<const N: usize>(mut self, facts: [(Fact, u16); N]) -> Self {
+        facts.into_iter().for_each(|(fact, number)| self.facts[fact as usize] = number);
+        self
     }
 
-    /// The numbers of a part's key: the repeated mentions if they matter there, and three more.
-    fn numbers(&self, part: Part) -> (u8, [u16; 3]) {
-        let Self { here, last, times, spent, pace, horizon, at_s } = *self;
-        let after = |things: usize| match things {
-            0..=3 => std::array::from_fn(|at| if at < things { last[at] } else { NONE }),
-            _ => digest(&last[..things]),
-        };
-        let hour = |hours| part_of_day(at_s, hours);
-        match part {
-            Part::ThingAfter0 => (0, after(0)),
-            Part::ThingAfter1 => (0, after(1)),
-            Part::ThingAfter2 => (0, after(2)),
-            Part::ThingAfter3 => (0, after(3)),
-            Part::ThingAfter4 => (0, after(4)),
-            Part::ThingAfter5 => (0, after(5)),
-            Part::ThingAtHour => (0, [hour(PART_HOURS), NONE, NONE]),
-            Part::ThingAfter1AtHour => (0, [last[0], hour(PART_HOURS), NONE]),
-            Part::AgainAfter0 => (times, after(0)),
-            Part::AgainAfter1 | Part::RoomAfter1 => (times, after(1)),
-            Part::AgainAfter2 | Part::RoomAfter2 => (times, after(2)),
-            Part::AgainAfter3 | Part::RoomAfter3 => (times, after(3)),
-            Part::RoomOfThing => (0, after(1)),
-            Part::RoomByDwell => (0, [here, spent, pace]),
-            Part::Stay => (0, [NONE, spent, NONE]),
-            Part::StayByPlace => (0, [here, spent, NONE]),
-            Part::StayByHour => (0, [here, spent, hour(PART_HOURS)]),
-            Part::RoomByHour | Part::ExitByHour => (0, [here, hour(PART_HOURS), NONE]),
-            Part::LaterByPlace => (0, [here, horizon, NONE]),
-            Part::LaterByHour => (0, [here, horizon, hour(PART_HOURS)]),
-            Part::LaterByDwell => (0, [here, horizon << 8 | spent, hour(2)]),
-            // After a room, and experts, which have no counts.
-            _ => (0, [here, NONE, NONE]),
-        }
+    /// After the last different things, the latest first, mentioned so many times again, at this pace.
+    pub(crate) fn after(mut self, last: &[u16; LAST], times: u8, pace: u16) -> Self {
+        let things = [last[0], last[1], last[2]];
+        let digests = [things, digest(&last[..4]), digest(last)];
+        self.facts[Fact::Last as usize..][..9].copy_from_slice(digests.as_flattened());
+        self.times = times;
+        self.with([(Fact::Pace, pace)])
     }
+
+    /// A horizon before the outcome.
+    pub(crate) fn before(self, horizon: u16) -> Self {
+        self.with([(Fact::Horizon, horizon), (Fact::HorizonSpent, horizon << 8 | self.get(Fact::Spent))])
+    }
+
+    pub(crate) fn get(&self, fact: Fact) -> u16 {
+        self.facts[fact as usize]
+    }
+
+    pub(crate) fn key(&self, level: &Level, slot: u8) -> u64 {
+        let times = if level.by_times { self.times.min(TIMES_MAX) } else { 0 };
+        let fact = |at| level.facts.get(at).map_or(NONE, |fact| self.get(*fact));
+        key(level.part.number, slot & SLOT_MASK | times << 6, std::array::from_fn(fact))
+    }
+}
+
+/// An expert or a level. Each can be left out, to measure how much it adds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Part {
+    /// The database holds the numbers of levels: those of removed levels stay unused. 0 is never left out.
+    pub(crate) number: u8,
+    pub(crate) name: &'static str,
+}
+
+/// A context. Its counts are mixed over the forecast of a shorter one.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Level {
+    pub(crate) part: Part,
+    facts: &'static [Fact],
+    by_times: bool,
+    pub(crate) discount: f64,
+    /// Observations that the shorter context is worth.
+    pub(crate) concentration: f64,
+}
+
+pub(crate) const fn level(number: u8, name: &'static str, facts: &'static [Fact], weights: [f64; 2]) -> Level {
+    let [discount, concentration] = weights;
+    Level { part: Part { number, name }, facts, by_times: false, discount, concentration }
+}
+
+impl Level {
+    /// The repeated mentions of the last thing are a further fact.
+    pub(crate) const fn by_times(self) -> Self {
+        Self { by_times: true, ..self }
+    }
+
+    /// What the numbers of its keys name.
+    pub(crate) fn names(&self) -> [Number; 3] {
+        std::array::from_fn(|at| match self.facts.get(at) {
+            Some(Fact::Here) => Number::Place,
+            Some(Fact::Last | Fact::Second | Fact::Third) => Number::Thing,
+            _ => Number::Plain,
+        })
+    }
+}
+
+/// The name that a number in the counts stands for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum Number {
+    Thing,
+    Place,
+    #[default]
+    Plain,
+}
+
+/// The key of a level's number, a slot, and facts.
+pub(crate) fn key(level: u8, slot: u8, after: [u16; 3]) -> u64 {
+    let [first, second, third] = after.map(u64::from);
+    u64::from(level) << 56 | u64::from(slot) << 48 | first << 32 | second << 16 | third
+}
+
+/// The number of a key's level, the slot, and the facts.
+pub(crate) fn split(key: u64) -> (u8, u8, [u16; 3]) {
+    ((key >> 56) as u8, (key >> 48) as u8, [(key >> 32) as u16, (key >> 16) as u16, key as u16])
+}
+
+/// The parts that are left out; none by default. The language model and the shipped forecast always stay.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Without(pub(crate) u64);
+
+impl Without {
+    pub(crate) fn uses(self, part: Part) -> bool {
+        self.0 >> part.number & 1 == 0
+    }
+}
+
+/// The database holds the result.
+fn digest(things: &[u16]) -> [u16; 3] {
+    split(things.iter().fold(0, |digest, number| splitmix(digest ^ u64::from(*number)))).2
 }
 
 pub(crate) fn time_class(time_s: f64) -> u16 {
@@ -88,20 +179,24 @@ pub(crate) fn minute(at_s: f64) -> u32 {
     (at_s / 60.0).clamp(0.0, f64::from(u32::MAX)) as u32
 }
 
-/// The hour of the day, divided by `hours`.
-fn part_of_day(at_s: f64, hours: u16) -> u16 {
-    ((at_s.rem_euclid(86_400.0) / 3_600.0) as u16 / hours.max(1)).min(23)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn a_time_has_an_hour() {
+    fn a_context_has_the_hour_and_the_digests_of_existing_databases() {
         // 2024-03-01 08:15:00.
-        let friday_s = 1_709_251_200.0 + 8.25 * 3_600.0;
-        assert_eq!((part_of_day(friday_s, 1), part_of_day(friday_s, 3)), (8, 2));
-        assert_eq!((minute(-5.0), part_of_day(-60.0, 1)), (0, 23));
+        let context = Context::new(7, 2, 1_709_251_200.0 + 8.25 * 3_600.0).after(&[1, 2, 3, 4, 5], 9, 3);
+        let key = |facts, slot| split(context.key(&level(31, "", facts, [0.0; 2]), slot));
+        assert_eq!(key(&[Fact::Hours2, Fact::Hours3], 63), (31, 63, [4, 2, NONE]));
+        assert_eq!(key(&[Fact::Five0, Fact::Five1, Fact::Five2], 1).2, [27063, 5733, 20958]);
+        assert_eq!(
+            split(context.key(&level(7, "", &[Fact::Second], [0.0; 2]).by_times(), 1)),
+            (7, 0xc1, [2, NONE, NONE])
+        );
+        assert_eq!(Context::new(7, 2, -60.0).before(3).get(Fact::Hours2), 11);
+        assert_eq!(Context::new(7, 2, 0.0).before(3).get(Fact::HorizonSpent), 0x302);
+        assert_ne!(digest(&[1, 2, 3, 4]), digest(&[2, 1, 3, 4]));
+        assert_eq!(minute(-5.0), 0);
     }
 }

@@ -1,20 +1,28 @@
-//! Forecasts a later place from the length and the destination of stays.
-//!
-//! A stay of some age in a place ends at the rate of exits over time spent. Each level has the next wider one as its prior: place and part of the
-//! day, then place, then all rooms, then the shipped stay. Time out of the house has the shipped absence as its prior, since stays in rooms do not
-//! predict its length. A person who leaves goes where earlier exits led, and a new stay begins there.
+//! Forecasts a later place from the length and the destination of stays: a stay of some age in a place ends at the rate of exits over time spent. Each
+//! level has the next wider one as its prior: place and part of the day, then place, then all rooms, then the shipped stay. After a stay the person goes
+//! where earlier exits led, and a new stay begins there.
 
-use super::context::{CLASSES, Context, class_s, time_class};
+use super::context::Fact::{Here, Hours3, Nothing, Spent};
+use super::context::{CLASSES, Context, Level, NONE, class_s, level, time_class};
 use super::names::ELSEWHERE;
-use super::parts::{NONE, Part};
-use super::view::{Level, View, level, normalise};
+use super::view::{View, normalise};
 
 /// Symbols of the counts of stays.
 pub(crate) const EXITS: u16 = 0;
 pub(crate) const MINUTES: u16 = 1;
-/// Scale of an absence in the shipped forecast, in seconds.
-pub(crate) const SHIPPED_AWAY_S: f64 = 14_400.0;
+/// Contexts of exits and time spent.
+pub(crate) static STAY: [Level; 3] = [
+    level(19, "stay", &[Nothing, Spent], [0.0, 0.0]),
+    level(20, "stay-by-place", &[Here, Spent], [0.0, 0.0]),
+    level(21, "stay-by-hour", &[Here, Spent, Hours3], [0.0, 0.0]),
+];
+/// Contexts of destinations.
+pub(crate) static EXIT: [Level; 2] =
+    [level(22, "exit", &[Here], [0.25, 2.0]), level(23, "exit-by-hour", &[Here, Hours3], [0.25, 4.0])];
 
+/// Scales of an absence and of a stay in a room in the shipped forecast, in seconds.
+pub(crate) const SHIPPED_AWAY_S: f64 = 14_400.0;
+const SHIPPED_STAY_S: f64 = 120.0;
 /// The forecast no longer changes beyond this time, in seconds.
 const FARTHEST_S: f64 = 4.0 * 3_600.0;
 /// The shortest and the longest step, in seconds; between them a step is `STEP_SHARE` of the time ahead.
@@ -22,17 +30,6 @@ const STEPS_S: [f64; 2] = [15.0, 300.0];
 const STEP_SHARE: f64 = 0.2;
 /// Exits that the wider level is worth.
 const RATE_STRENGTH: f64 = 2.0;
-/// Contexts of destinations.
-pub(crate) const EXIT: [Level; 2] = [level(Part::Exit, 0.25, 2.0), level(Part::ExitByHour, 0.25, 4.0)];
-/// Scale of a stay in a room in the shipped forecast, in seconds.
-const SHIPPED_STAY_S: f64 = 120.0;
-
-/// The current stay. `here` is `None` if the person came back into an unknown room.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Stay {
-    pub(crate) here: Option<usize>,
-    pub(crate) spent_s: f64,
-}
 
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Leaving {
@@ -50,40 +47,33 @@ fn gone(x: f64) -> f64 {
 }
 
 impl Leaving {
-    /// Writes the probabilities per horizon (ascending) and place, row by row, into `out`.
+    /// Writes the probabilities per horizon (ascending) and place, row by row, into `out`. The stay has lasted for `spent_s`. Without a place the person
+    /// came back then, into an unknown room.
     pub(crate) fn forecast(
         &mut self,
         view: &View<'_>,
-        from: Stay,
+        (here, spent_s): (Option<usize>, f64),
         (now_s, horizons_s): (f64, &[f64]),
         out: &mut Vec<f64>,
     ) {
-        let places = view.home.places();
-        out.clear();
-        self.leads.clear();
-        for place in 0..places {
-            self.lead(view, place, now_s);
-        }
-        let elsewhere = places - 1;
+        let (places, elsewhere) = (view.home.places(), view.home.rooms());
+        // After a return the forecast starts at the return.
+        let mut at_s = if here.is_some() { 0.0 } else { -spent_s.clamp(0.0, FARTHEST_S) };
+        let farthest_s = horizons_s.last().map_or(0.0, |horizon_s| horizon_s.min(FARTHEST_S));
+        let [oldest, newest] = [spent_s, farthest_s - at_s].map(|time_s| usize::from(time_class(time_s)));
+        self.learned(view, now_s, |place, age| age <= newest || Some(place) == here && age >= oldest);
         self.mass.clear();
         self.mass.resize(places, [0.0; CLASSES]);
-        // After a return the forecast starts at the return.
-        let mut at_s = 0.0;
-        match from.here {
-            Some(here) => self.mass[here][usize::from(time_class(from.spent_s))] = 1.0,
-            None => {
-                at_s = -from.spent_s.clamp(0.0, FARTHEST_S);
-                let led = &self.leads[elsewhere * places..];
-                self.mass.iter_mut().zip(led).for_each(|(mass, led)| mass[0] = *led);
-            }
+        match here {
+            Some(here) => self.mass[here][oldest] = 1.0,
+            None => self.mass.iter_mut().zip(&self.leads[elsewhere * places..]).for_each(|(mass, led)| mass[0] = *led),
         }
-        let farthest_s = horizons_s.last().map_or(0.0, |horizon_s| horizon_s.min(FARTHEST_S));
-        self.rate(view, now_s, from, usize::from(time_class(farthest_s - at_s.min(0.0))));
         self.step_until(&mut at_s, 0.0);
-        if from.here.is_none() {
+        if here.is_none() {
             // The person has not left again until now.
             self.mass[elsewhere] = [0.0; CLASSES];
         }
+        out.clear();
         for horizon_s in horizons_s {
             self.step_until(&mut at_s, horizon_s.min(FARTHEST_S));
             out.extend(self.mass.iter().map(|mass| mass.iter().sum::<f64>()));
@@ -92,38 +82,25 @@ impl Leaving {
         }
     }
 
-    /// Appends the destinations of a place.
-    fn lead(&mut self, view: &View<'_>, place: usize, now_s: f64) {
-        let places = view.home.places();
-        let begin = self.leads.len();
-        self.leads.resize(begin + places, 1.0);
-        let row = &mut self.leads[begin..];
-        row[place] = 0.0;
-        normalise(row);
-        let context = Context::of_stay(view.home.places.number(place).unwrap_or(NONE), 0, now_s);
-        let index = |number| view.home.places.index(number).filter(|other| *other != place);
-        for level in &EXIT {
-            view.smooth(level, &context, index, row);
-        }
-    }
-
-    /// Computes the rates of leaving for the ages that stays can have.
-    fn rate(&mut self, view: &View<'_>, now_s: f64, from: Stay, newest: usize) {
+    /// Computes the destinations of each place, and the rates of leaving it at the ages that a stay can have.
+    fn learned(&mut self, view: &View<'_>, now_s: f64, is_possible: impl Fn(usize, usize) -> bool) {
         let places = view.home.places();
         self.rates.clear();
         self.rates.resize(places, [0.0; CLASSES]);
-        let oldest = usize::from(time_class(from.spent_s));
-        for (place, rates) in self.rates.iter_mut().enumerate() {
+        self.leads.clear();
+        self.leads.resize(places * places, 1.0);
+        for (place, (rates, leads)) in self.rates.iter_mut().zip(self.leads.chunks_exact_mut(places)).enumerate() {
             let number = view.home.places.number(place).unwrap_or(NONE);
+            leads[place] = 0.0;
+            normalise(leads);
+            let index = |number| view.home.places.index(number).filter(|other| *other != place);
+            EXIT.iter().for_each(|level| _ = view.smooth(level, &Context::new(number, 0, now_s), index, leads));
             let scale_s = if number == ELSEWHERE { SHIPPED_AWAY_S } else { SHIPPED_STAY_S };
-            for (age, rate) in rates.iter_mut().enumerate() {
-                if age > newest && (Some(place) != from.here || age < oldest) {
-                    continue;
-                }
+            for (age, rate) in rates.iter_mut().enumerate().filter(|(age, _)| is_possible(place, *age)) {
                 let [begin_s, end_s] = class_s(age);
                 *rate = 2.0 / (scale_s + 0.5 * (begin_s + end_s));
-                let context = Context::of_stay(number, age as u16, now_s);
-                for (seen, _) in stay_parts(number).iter().flat_map(|part| view.seen(*part, &context)) {
+                let context = Context::new(number, age as u16, now_s);
+                for (seen, _) in stay_levels(number).iter().flat_map(|level| view.seen(level, &context)) {
                     let (exits, spent_s) = (seen.count(EXITS), 60.0 * seen.count(MINUTES));
                     *rate = (exits + RATE_STRENGTH) / (spent_s + RATE_STRENGTH / *rate);
                 }
@@ -158,9 +135,8 @@ impl Leaving {
 }
 
 /// The contexts of a stay. Time out of the house does not count for the length of stays in rooms.
-pub(crate) fn stay_parts(place: u16) -> &'static [Part] {
-    const ALL: &[Part] = &[Part::Stay, Part::StayByPlace, Part::StayByHour];
-    if place == ELSEWHERE { &ALL[1..] } else { ALL }
+pub(crate) fn stay_levels(place: u16) -> &'static [Level] {
+    &STAY[usize::from(place == ELSEWHERE)..]
 }
 
 #[cfg(test)]

@@ -25,12 +25,9 @@ impl FixedShare {
         let mut prior: Vec<f64> = prior.collect();
         let total: f64 = prior.iter().sum();
         prior.iter_mut().for_each(|p| *p /= total);
-        let mut weights = prior.clone();
         let rest: f64 = prior.iter().skip(1).sum();
-        if rest > 0.0 {
-            weights.iter_mut().skip(1).for_each(|weight| *weight *= (1.0 - first) / rest);
-            weights.iter_mut().take(1).for_each(|weight| *weight = first);
-        }
+        let share = |(expert, prior)| if expert == 0 { first } else { prior * ((1.0 - first) / rest) };
+        let weights = if rest > 0.0 { prior.iter().enumerate().map(share).collect() } else { prior.clone() };
         Self { weights, prior }
     }
 
@@ -65,16 +62,15 @@ impl FixedShare {
     }
 }
 
-/// The most that the mixture can lose to expert `i`, with prior weight `prior`, over `outcomes`, in nats.
 #[cfg(test)]
-pub(crate) fn bound_nats(prior: f64, share: f64, outcomes: usize) -> f64 {
-    -prior.ln() - (outcomes.max(1) - 1) as f64 * (1.0 - share + share * prior).ln()
-}
-
-#[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    /// The most that the mixture can lose to expert `i`, with prior weight `prior`, over `outcomes`, in nats.
+    pub(crate) fn bound_nats(prior: f64, share: f64, outcomes: usize) -> f64 {
+        -prior.ln() - (outcomes.max(1) - 1) as f64 * (1.0 - share + share * prior).ln()
+    }
 
     fn mix(mixture: &FixedShare, p: &[f64]) -> f64 {
         mixture.weights().iter().zip(p).map(|(weight, p)| weight * p).sum()

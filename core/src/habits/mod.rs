@@ -1,22 +1,11 @@
-//! Habits of one home, learned while the persons are observed. The language model is the prior.
+//! Habits of one home, learned while the persons are observed. The language model is the prior: it is one of the experts of a mixture. The loss of the
+//! mixture exceeds that of its best expert by a bound at most (`mixture.rs`). Counts are kept by name, so that they survive changes of the map.
 //!
-//! The first day's forecasts are the language model's. Later forecasts also use the learned counts. The loss of the mixture exceeds its best expert's
-//! loss by a bound at most (`mixture.rs`), and the model is one of the experts. Counts are kept by name, so that they survive changes of the map.
+//! A daemon calls `bind` for each map, `observe` for each sentence about a thing, `mix` and `next_rooms` for the model's scores, `be` and `come_back` for
+//! presence, `tick` once a minute, `at_times` and `room_set` for forecasts of places, and `stored` for the state database.
 //!
-//! Calls of a daemon, per person:
-//!
-//! ```text
-//! map loaded or changed   bind(labels, rooms, shares)
-//! sentence with a thing   observe(...)                 the last forecast is compared, then counts are learned
-//! model's scores          mix(...)  -> label probabilities     next_rooms(...) -> room probabilities
-//! presence, room seen     be(...)               come_back(...) into an unknown room
-//! about once a minute     tick(...)                    forecasts whose time has come are learned from
-//! forecast wanted         at_times(...) -> probabilities of the places     room_set(...) -> a set with a promise
-//! now and then, at exit   stored() -> the state database
-//! ```
-//!
-//! This module reads no clock and no file. Times are seconds since 1970 in local time, because the hour of the day matters. After warm-up an
-//! observation allocates nothing.
+//! This module reads no clock and no file. Times are seconds since 1970 in local time, because the hour of the day matters. An observation in known
+//! contexts allocates nothing.
 
 use crate::grounding::{Grounding, partition_names};
 use crate::ids::PersonId;
@@ -34,16 +23,14 @@ mod stays;
 mod stored;
 mod view;
 
-use context::{Context, LAST, minute, time_class};
+use context::{Context, LAST, NONE, Number, SLOT_MASK, key, minute, split, time_class};
 use counts::Counts;
 use names::{ELSEWHERE_NAME, Home, Names};
 use next::Next;
-use parts::{NONE, Part, SLOT_MASK, key, split};
 use stays::Stays;
-use view::{OTHERS_MAX, View};
+use view::{Learner, OTHERS_MAX, View};
 
-pub use context::{PART_HOURS, PARTS};
-pub use parts::Without;
+pub use context::{PART_HOURS, PARTS, Without};
 pub use sets::{AdaptiveSets, SetOptions};
 pub use stored::{BYTES_MAX, Stored, StoredError, StoredName, StoredPerson, StoredRow};
 
@@ -57,11 +44,11 @@ pub struct HabitsOptions {
     pub learn: bool,
     /// Half-life of counts, in days; 0 for no decay.
     pub half_life_days: f64,
-    /// Most contexts: 20 bytes each.
+    /// Most contexts: 40 bytes each.
     pub contexts_max: usize,
-    /// Most blocks of up to four counts: 28 bytes each.
-    pub blocks_max: usize,
-    /// Most names of things.
+    /// Most counts: 8 bytes each, up to 16 while a context grows.
+    pub counts_max: usize,
+    /// Most names of things. A further thing replaces the one with the fewest counts.
     pub names_max: usize,
     /// Options of room sets.
     pub sets: SetOptions,
@@ -70,13 +57,14 @@ pub struct HabitsOptions {
 }
 
 impl Default for HabitsOptions {
-    /// At most 3.6 MiB.
+    /// At most 5 MiB.
     fn default() -> Self {
         Self {
             learn: true,
             half_life_days: 60.0,
-            contexts_max: 1 << 16,
-            blocks_max: 1 << 16,
+            // As many as a table of 2^16 places holds.
+            contexts_max: 7 << 13,
+            counts_max: 1 << 17,
             names_max: 2_048,
             sets: SetOptions::default(),
             without: Without::default(),
@@ -198,19 +186,33 @@ impl Person {
     fn context(&self, at_s: f64) -> Context {
         let Self { pace_s, last, times, stays, .. } = self;
         let [spent, pace] = [at_s - stays.entered_s, *pace_s].map(time_class);
-        Context { here: stays.place, last: *last, times: *times, spent, pace, horizon: 0, at_s }
+        Context::new(stays.place, spent, at_s).after(last, *times, pace)
     }
 
     /// Adds a thing, or an unmapped one, to the context.
     fn turn(&mut self, number: Option<u16>) {
         let number = number.unwrap_or(NONE);
-        if number == self.last[0] {
-            self.times = if number == NONE { 0 } else { self.times.saturating_add(1) };
-            return;
+        let is_again = number == self.last[0];
+        self.times = if is_again && number != NONE { self.times.saturating_add(1) } else { 0 };
+        if !is_again {
+            self.last.rotate_right(1);
+            self.last[0] = number;
         }
-        self.times = 0;
-        self.last.rotate_right(1);
-        self.last[0] = number;
+    }
+
+    /// The latest forecasts teach no more.
+    fn forget_forecast(&mut self) {
+        self.things.forget_forecast();
+        self.rooms.forget_forecast();
+    }
+
+    /// A name lost its number.
+    fn forget_name(&mut self, is: Number, number: u16) {
+        self.known = None;
+        match is {
+            Number::Place => self.stays.forget_place(number),
+            _ => self.last.iter_mut().filter(|own| **own == number).for_each(|own| *own = NONE),
+        }
     }
 }
 
@@ -230,11 +232,11 @@ impl Habits {
         let half_life_min = options.half_life_days * 1_440.0;
         let mut places = Names::new(1_024);
         // Elsewhere has the first number.
-        places.add(ELSEWHERE_NAME.to_owned());
+        places.add(ELSEWHERE_NAME.to_owned(), || None);
         places.bind(vec![ELSEWHERE_NAME.to_owned()]);
         Self {
             home: Home { things: Names::new(options.names_max), places, shares: Vec::new() },
-            counts: Counts::new(options.contexts_max, options.blocks_max, half_life_min),
+            counts: Counts::new(options.contexts_max, options.counts_max, half_life_min),
             persons: Vec::new(),
             options,
         }
@@ -246,20 +248,16 @@ impl Habits {
         &self.options
     }
 
-    /// Binds a map: its scored labels and its rooms, each name once, and row by row per label and room the share of the label's items in that room.
-    /// Counts are kept.
+    /// Binds a map: its labels and its rooms, each name once, and row by row per label and room the share of the label's items in that room.
     pub fn bind(&mut self, labels: Vec<String>, mut rooms: Vec<String>, shares: Vec<f64>) {
         rooms.push(ELSEWHERE_NAME.to_owned());
         let are_same_rooms = self.home.places.bound() == rooms;
         self.home.things.bind(labels);
         self.home.places.bind(rooms);
         self.home.shares = shares;
-        for person in &mut self.persons {
-            person.things.forget_forecast();
-            person.rooms.forget_forecast();
-            if !are_same_rooms {
-                person.stays.forget_forecasts();
-            }
+        self.persons.iter_mut().for_each(Person::forget_forecast);
+        if !are_same_rooms {
+            self.drop_waiting();
         }
     }
 
@@ -298,11 +296,9 @@ impl Habits {
         if let Some(at) = self.persons.iter().position(|person| person.number == number) {
             return at;
         }
-        if self.persons.len() >= PERSONS_MAX {
-            let least = |a: &&Person, b: &&Person| a.known_of().total_cmp(&b.known_of());
-            if let Some(least) = self.persons.iter().min_by(least).map(|person| person.number) {
-                self.forget(least);
-            }
+        let least = self.persons.iter().min_by(|a, b| a.known_of().total_cmp(&b.known_of()));
+        if let Some(least) = least.map(|person| person.number).filter(|_| self.persons.len() >= PERSONS_MAX) {
+            self.forget(least);
         }
         let free = |slot: &u8| self.persons.iter().all(|person| person.slot != *slot);
         let slot = (0..PERSONS_MAX as u8).find(free).unwrap_or(0);
@@ -312,96 +308,127 @@ impl Habits {
 
     fn view(&mut self, number: PersonId, now_s: f64) -> (View<'_>, &mut Person) {
         let at = self.person(number);
-        // The other persons with the most observations.
-        let mut others = [None; OTHERS_MAX];
-        let mut least = [0.0; OTHERS_MAX];
+        // The other persons with the most observations, and one place for the next.
+        let mut others = [(0.0, None); OTHERS_MAX + 1];
         for other in self.persons.iter().filter(|other| other.number != number) {
-            if let Some(rank) = (0..OTHERS_MAX).find(|rank| other.known_of() > least[*rank]) {
-                others[rank..].rotate_right(1);
-                least[rank..].rotate_right(1);
-                (others[rank], least[rank]) = (Some(other.slot), other.known_of());
-            }
+            others[OTHERS_MAX] = (other.known_of(), Some(other.slot));
+            others.sort_by(|a, b| b.0.total_cmp(&a.0));
         }
+        let others = std::array::from_fn(|rank| others[rank].1);
         let Self { persons, counts, home, options, .. } = self;
         let person = &mut persons[at];
         (View { counts, home, slot: person.slot, others, now_min: minute(now_s), without: options.without }, person)
     }
 
-    /// The number of a place. While learning, a new one gets a number.
-    fn number_of(&mut self, place: Place) -> Option<u16> {
+    /// The number of a name of the map. While learning, a new name gets one. At the limit it gets the number of the name with the fewest counts, and
+    /// these counts are dropped. Digests with that name stay: they are used again only if the same other things surround the new one.
+    fn number_of(&mut self, is: Number, index: usize, now_min: u32) -> Option<u16> {
+        let Self { home, counts, persons, options, .. } = self;
+        // Elsewhere stays.
+        let (names, first) = if is == Number::Place { (&mut home.places, 1) } else { (&mut home.things, 0) };
+        if !options.learn {
+            return names.number(index);
+        }
+        let known = names.names().len();
+        names.learn(index, || {
+            let kinds = parts::kinds();
+            let names_of = |key, symbol| {
+                let (number, _, [first, second, third]) = split(key);
+                kinds[usize::from(number)].unwrap_or_default().into_iter().zip([first, second, third, symbol])
+            };
+            let mut times = vec![0.0; known];
+            for (key, seen) in counts.all(now_min) {
+                let counted =
+                    seen.symbols().filter(|(symbol, _)| names_of(key, *symbol).next_back() == Some((is, *symbol)));
+                counted.for_each(|(symbol, count)| times[usize::from(symbol)] += count);
+            }
+            let least = (first..known).min_by(|a, b| times[*a].total_cmp(&times[*b]))? as u16;
+            counts.retain(|key, symbol| names_of(key, symbol).all(|name| name != (is, least)));
+            persons.iter_mut().for_each(|person| person.forget_name(is, least));
+            Some(least)
+        })
+    }
+
+    /// The number of a place, as in [`Habits::number_of`].
+    fn place_number(&mut self, place: Place, at_s: f64) -> Option<u16> {
         let rooms = self.home.rooms();
         let index = match place {
             Place::Elsewhere => rooms,
             Place::Room(room) => Some(room).filter(|room| *room < rooms)?,
         };
-        self.home.places.learn(index, self.options.learn)
+        self.number_of(Number::Place, index, minute(at_s))
+    }
+
+    /// A person, and the means to count for them.
+    fn learner(&mut self, number: PersonId) -> (Learner<'_>, &mut Person, &Home) {
+        let at = self.person(number);
+        let Self { persons, counts, home, options, .. } = self;
+        let person = &mut persons[at];
+        (Learner { counts, slot: person.slot, learns: options.learn }, person, home)
     }
 
     /// Learns from a turn: the last forecasts are compared with it, it is counted, and it becomes the context of the next forecast.
     pub fn observe(&mut self, turn: &Turn) {
-        let (now_min, at) = (minute(turn.at_s), self.person(turn.person));
-        let number = turn.label.and_then(|label| self.home.things.learn(label, self.options.learn));
-        let place = turn.room.and_then(|room| self.number_of(Place::Room(room)));
-        let Self { persons, counts, options: HabitsOptions { learn, .. }, home, .. } = self;
-        let person = &mut persons[at];
-        let context = person.known.unwrap_or_else(|| person.context(turn.at_s));
-        let Person { slot, things, rooms, stays, repeated, known, .. } = person;
-        if *learn {
-            if let Some((room, place)) = turn.room.zip(place) {
+        let Turn { label, room, at_s, .. } = *turn;
+        let number = label.and_then(|label| self.number_of(Number::Thing, label, minute(at_s)));
+        let place = room.and_then(|room| self.place_number(Place::Room(room), at_s));
+        let (mut learner, person, home) = self.learner(turn.person);
+        let context = person.known.unwrap_or_else(|| person.context(at_s));
+        let Person { things, rooms, repeated, known, .. } = &mut *person;
+        if learner.learns {
+            if let Some((room, place)) = room.zip(place) {
                 rooms.learn_weights(room);
                 if known.is_some() {
-                    rooms.other.count(counts, *slot, &context, place, turn.at_s);
+                    rooms.other.count(&mut learner, &context, place, at_s);
                 }
                 if let Some(thing) = number {
-                    counts.add(key(Part::RoomOfThing, *slot, [thing, NONE, NONE]), place, 1.0, now_min);
+                    let key = key(next::OF_THING.part.number, learner.slot, [thing, NONE, NONE]);
+                    learner.counts.add(key, place, 1.0, minute(at_s));
                 }
             }
-            if let Some((label, number)) = turn.label.zip(number) {
+            if let Some((label, number)) = label.zip(number) {
                 if let Some(is_same) = things.learn_weights(label) {
                     *repeated = [repeated[0] + f64::from(u8::from(is_same)), repeated[1] + 1.0];
                 }
-                things.count_thing(counts, *slot, &context, number, turn.at_s);
+                things.count_thing(&mut learner, &context, number, at_s);
             }
             person.observations += 1.0;
         }
         if number.is_some() || place.is_some() {
-            things.forget_forecast();
-            rooms.forget_forecast();
+            person.forget_forecast();
         }
         if let Some(place) = place {
-            stays.learn_due(counts, *slot, home, turn.at_s, *learn);
-            stays.be(counts, *slot, place, turn.at_s, *learn);
+            person.stays.learn_due(&mut learner, home, at_s);
+            person.stays.be(&mut learner, place, at_s);
         }
         person.turn(number);
-        person.pace_s = turn.at_s - person.last_s;
-        person.last_s = person.last_s.max(turn.at_s);
-        person.known = Some(person.context(turn.at_s));
+        person.pace_s = at_s - person.last_s;
+        person.last_s = person.last_s.max(at_s);
+        person.known = Some(person.context(at_s));
     }
 
     /// Puts a person in a place without a turn: a presence event or a sensor reported it.
     pub fn be(&mut self, person: PersonId, place: Place, at_s: f64) {
-        if let Some(number) = self.number_of(place) {
-            self.moves(person, at_s, |stays, counts, slot, learn| stays.be(counts, slot, number, at_s, learn));
+        if let Some(number) = self.place_number(place, at_s) {
+            self.moves(person, at_s, |stays, learner| stays.be(learner, number, at_s));
         }
     }
 
     /// The person's place is unknown from now on.
     pub fn lose(&mut self, person: PersonId, at_s: f64) {
-        self.moves(person, at_s, |stays, counts, slot, learn| stays.be(counts, slot, NONE, at_s, learn));
+        self.moves(person, at_s, |stays, learner| stays.be(learner, NONE, at_s));
     }
 
     /// Puts a person, absent before, into an unknown room of the house. The next forecasts use the earlier returns.
     pub fn come_back(&mut self, person: PersonId, at_s: f64) {
-        self.moves(person, at_s, |stays, counts, slot, learn| stays.come_back(counts, slot, at_s, learn));
+        self.moves(person, at_s, |stays, learner| stays.come_back(learner, at_s));
     }
 
     /// Due forecasts learn first: their outcome is the place before the move.
-    fn moves(&mut self, person: PersonId, at_s: f64, go: impl FnOnce(&mut Stays, &mut Counts, u8, bool)) {
-        let at = self.person(person);
-        let Self { persons, counts, home, options: HabitsOptions { learn, .. }, .. } = self;
-        let Person { slot, stays, .. } = &mut persons[at];
-        stays.learn_due(counts, *slot, home, at_s, *learn);
-        go(stays, counts, *slot, *learn);
+    fn moves(&mut self, person: PersonId, at_s: f64, go: impl FnOnce(&mut Stays, &mut Learner<'_>)) {
+        let (mut learner, Person { stays, .. }, home) = self.learner(person);
+        stays.learn_due(&mut learner, home, at_s);
+        go(stays, &mut learner);
     }
 
     /// Whether the person came back and has no known room since.
@@ -421,7 +448,7 @@ impl Habits {
     pub fn pass(&mut self, now_s: f64) {
         let Self { persons, counts, home, .. } = self;
         for Person { slot, stays, .. } in persons {
-            stays.learn_due(counts, *slot, home, now_s, false);
+            stays.learn_due(&mut Learner { counts, slot: *slot, learns: false }, home, now_s);
         }
     }
 
@@ -433,8 +460,8 @@ impl Habits {
         }
     }
 
-    /// Moves counts after a clock step of `by_s` seconds, so that their age stays the same. Counts from a clock that was ahead of `now_s` are dated
-    /// as of then. Otherwise they would not fade until then, and would outweigh new counts.
+    /// Moves counts after a clock step of `by_s` seconds, so that their age stays the same. Counts dated later than `now_s` are dated `now_s`: they
+    /// would not fade until then.
     pub fn shift_counts(&mut self, by_s: f64, now_s: f64) {
         let (by_min, now_min) = ((by_s / 60.0) as i64, minute(now_s));
         for touched_min in self.counts.touched_min() {
@@ -443,8 +470,7 @@ impl Habits {
         }
     }
 
-    /// Per label of the map, the probability that the person turns to it next. `model` has the model's probabilities, which need not sum to one. The
-    /// next turn is compared with the result.
+    /// Per label of the map, the probability that the person turns to it next. The model's probabilities need not sum to one. The next turn teaches.
     pub fn mix(&mut self, person: PersonId, at_s: f64, model: &[f64]) -> &[f64] {
         let (view, person) = self.view(person, at_s);
         let context = *person.known.insert(person.context(at_s));
@@ -452,8 +478,7 @@ impl Habits {
         &person.things.mixed
     }
 
-    /// Per room of the map, the probability that the next thing is there. Call it after [`Habits::mix`], whose forecast it uses. The next turn is
-    /// compared with the result.
+    /// Per room of the map, the probability that the next thing is there. It uses the forecast of [`Habits::mix`]. The next turn teaches.
     pub fn next_rooms(&mut self, person: PersonId, at_s: f64, model: &[f64]) -> &[f64] {
         let (view, person) = self.view(person, at_s);
         let context = *person.known.insert(person.context(at_s));
@@ -476,7 +501,7 @@ impl Habits {
     /// Counts time spent and learns from due forecasts. Once a minute it makes one more forecast to learn from later. `shipped` writes the forecast
     /// without habits, so many seconds ahead, per place; elsewhere comes last.
     pub fn tick(&mut self, person: PersonId, now_s: f64, shipped: &mut dyn FnMut(f64, &mut [f64])) {
-        self.moves(person, now_s, |_, _, _, _| {});
+        self.moves(person, now_s, |_, _| {});
         let (view, Person { stays, .. }) = self.view(person, now_s);
         stays.sample(&view, now_s, shipped);
     }
@@ -502,34 +527,23 @@ impl Habits {
         });
     }
 
-    /// The places of the set with the promised coverage, for probabilities of [`Habits::at_times`] for that time. If the person's place is unknown,
-    /// or `another` kind of forecast is given, no threshold was learned: the set then takes the likeliest places up to the coverage.
-    pub fn room_set(
-        &mut self,
-        person: PersonId,
-        horizon_s: f64,
-        probabilities: &[f64],
-        another: bool,
-        set: &mut Vec<bool>,
-    ) {
+    /// The places of the set with the promised coverage, for probabilities of [`Habits::at_times`]. If the person's place is unknown, or `another` kind of
+    /// forecast is given, no threshold was learned: the set then takes the likeliest places up to the coverage.
+    pub fn room_set(&mut self, person: PersonId, horizon_s: f64, p: &[f64], another: bool, set: &mut Vec<bool>) {
         let (at, another) = (self.person(person), another || self.place(person).is_none());
-        self.persons[at].stays.set(horizon_s, probabilities, another, set);
+        self.persons[at].stays.set(horizon_s, p, another, set);
     }
 
     /// Per room of the bound map, decayed number of visits that ended in each part of the day, of all persons together.
     #[must_use]
     pub fn visits(&self, now_s: f64) -> Vec<[f64; PARTS]> {
-        let now_min = minute(now_s);
-        let ended = |place: u16, part: u16| -> f64 {
-            let of = |slot| self.counts.get(key(Part::ExitByHour, slot, [place, part, NONE]), now_min);
-            let seen = self.persons.iter().filter_map(|person| of(person.slot));
-            seen.map(|seen| seen.symbols().map(|(_, count)| count).sum::<f64>()).sum()
+        let of_person = |person: &Person, place, part| {
+            let key = key(leaving::EXIT[1].part.number, person.slot, [place, part as u16, NONE]);
+            self.counts.get(key, minute(now_s)).map_or(0.0, |seen| seen.sum())
         };
-        let room = |room| {
-            let place = self.home.places.number(room);
-            std::array::from_fn(|part| place.map_or(0.0, |place| ended(place, part as u16)))
-        };
-        (0..self.home.rooms()).map(room).collect()
+        let ended = |place, part| self.persons.iter().map(|person| of_person(person, place, part)).sum();
+        let rooms = (0..self.home.rooms()).map(|room| self.home.places.number(room));
+        rooms.map(|place| std::array::from_fn(|part| place.map_or(0.0, |place| ended(place, part)))).collect()
     }
 
     /// Minutes for which the person's place was known, about.
@@ -562,7 +576,7 @@ impl Habits {
     pub fn forget(&mut self, person: PersonId) -> bool {
         let Some(at) = self.persons.iter().position(|other| other.number == person) else { return false };
         let slot = self.persons.remove(at).slot;
-        self.counts.retain(|key| split(key).1 & SLOT_MASK != slot);
+        self.counts.retain(|key, _| split(key).1 & SLOT_MASK != slot);
         true
     }
 }

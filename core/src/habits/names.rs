@@ -8,7 +8,7 @@ const NAME_BYTES_MAX: usize = 256;
 pub(crate) const ELSEWHERE_NAME: &str = "(elsewhere)";
 pub(crate) const ELSEWHERE: u16 = 0;
 
-/// Numbers of names, 0 to `limit - 1`, and the names of the bound map. Further names get no number.
+/// Numbers of names, 0 to `limit - 1`, and the names of the bound map. A further name takes the number of another one.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Names {
     names: Vec<String>,
@@ -49,21 +49,28 @@ impl Names {
         self.number_of.get(index).copied().flatten()
     }
 
-    /// The same. While learning, a name without a number gets one.
-    pub(crate) fn learn(&mut self, index: usize, learns: bool) -> Option<u16> {
-        if learns && self.number(index).is_none() {
-            let number = self.add(self.bound.get(index)?.clone())?;
+    /// The number of a name of the map. A new name gets one as in [`Names::add`].
+    pub(crate) fn learn(&mut self, index: usize, freed: impl FnOnce() -> Option<u16>) -> Option<u16> {
+        if self.number(index).is_none() {
+            let number = self.add(self.bound.get(index)?.clone(), freed)?;
             (self.indices[usize::from(number)], self.number_of[index]) = (Some(index), Some(number));
         }
         self.number(index)
     }
 
-    /// The number of a new name; `None` at the limit, and for an empty, long or known name.
-    pub(crate) fn add(&mut self, name: String) -> Option<u16> {
-        let is_name = !name.is_empty() && name.len() <= NAME_BYTES_MAX && !self.numbers.contains_key(&name);
-        let number = u16::try_from(self.names.len()).ok().filter(|_| is_name && self.names.len() < self.limit)?;
-        self.names.push(name.clone());
-        self.indices.push(None);
+    /// The number of a new name, at the limit a `freed` one; `None` for an empty, long or known name.
+    pub(crate) fn add(&mut self, name: String, freed: impl FnOnce() -> Option<u16>) -> Option<u16> {
+        if name.is_empty() || name.len() > NAME_BYTES_MAX || self.numbers.contains_key(&name) {
+            return None;
+        }
+        let number = if self.names.len() < self.limit { self.names.len() as u16 } else { freed()? };
+        let at = usize::from(number);
+        self.names.resize(self.names.len().max(at + 1), String::new());
+        self.indices.resize(self.names.len(), None);
+        if let Some(index) = self.indices[at].take() {
+            self.number_of[index] = None;
+        }
+        self.numbers.remove(&std::mem::replace(&mut self.names[at], name.clone()));
         self.numbers.insert(name, number);
         Some(number)
     }
@@ -114,13 +121,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn at_the_limit_a_further_name_gets_no_number() {
+    fn at_the_limit_a_further_name_takes_a_freed_number() {
         let mut names = Names::new(2);
         names.bind(["", "mug", "sofa", "bed"].map(str::to_owned).to_vec());
-        assert_eq!([0, 1, 2, 1, 3].map(|index| names.learn(index, true)), [None, Some(0), Some(1), Some(0), None]);
+        assert_eq!([0, 1, 2, 1, 3].map(|index| names.learn(index, || None)), [None, Some(0), Some(1), Some(0), None]);
         assert_eq!((names.number(3), names.index(1), names.names().len()), (None, Some(2), 2));
-        names.bind(["bed", "sofa"].map(str::to_owned).to_vec());
-        assert_eq!((names.index(0), names.index(1), names.number(1)), (None, Some(1), Some(1)));
+        assert_eq!((names.learn(3, || Some(0)), names.names()), (Some(0), &["bed".to_owned(), "sofa".to_owned()][..]));
+        assert_eq!((names.number(1), names.index(0)), (None, Some(3)));
+        names.bind(["sofa", "mug"].map(str::to_owned).to_vec());
+        assert_eq!((names.index(0), names.index(1), names.number(0), names.number(1)), (None, Some(0), Some(1), None));
     }
 
     /// A map may have 100 000 labels, more than 16 bits can number.
@@ -129,7 +138,7 @@ mod tests {
         let mut names = Names::new(8);
         names.bind((0..70_000).map(|label| format!("thing {label}")).collect());
         for (number, label) in [65_534, 65_535, 65_536, 65_541, 69_999].into_iter().enumerate() {
-            assert_eq!(names.learn(label, true), Some(number as u16));
+            assert_eq!(names.learn(label, || None), Some(number as u16));
             assert_eq!((names.index(number as u16), names.number(label)), (Some(label), Some(number as u16)));
         }
         assert_eq!(names.number(0), None);

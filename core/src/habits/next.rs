@@ -4,13 +4,12 @@
 //! the context, and so are sentences about nothing that the map has. An outcome is counted in the context that was known at the forecast.
 
 use super::Shares;
-use super::context::Context;
-use super::counts::Counts;
-use super::parts::{Part, Without};
+use super::context::Fact::{Five0, Five1, Five2, Four0, Four1, Four2, Here, Hours3, Last, Pace, Second, Spent, Third};
+use super::context::{Context, Level, NONE, Without, key, level};
 use super::pool::Begin::{After, Given};
 use super::pool::Source::{Habit, Hour, Model, Things};
 use super::pool::{Plan, Pool, expert};
-use super::view::{View, level, normalise};
+use super::view::{Learner, View, add, normalise};
 
 pub(crate) const SHARE: f64 = 0.005;
 /// Smaller probabilities of things and of rooms are raised to these.
@@ -23,53 +22,41 @@ const UNLIKELY: f64 = 1e-3;
 /// Observations that the map's rooms of a thing are worth.
 const MAP_STRENGTH: f64 = 1.0;
 
+/// The rooms of a thing in earlier turns.
+pub(crate) static OF_THING: Level = level(13, "room-of-thing", &[Last], [0.0, MAP_STRENGTH]);
+
 /// Another thing, after the last things and at this part of the day.
-pub(crate) const THINGS: Plan = Plan {
+pub(crate) static THINGS: Plan = Plan {
     experts: &[
-        expert(None, [0.15, 0.65], Model, Given, &[]),
-        expert(
-            Some(Part::ThingHabit),
-            [0.08, 0.3],
-            Habit,
-            After(0, 0),
-            &[
-                level(Part::ThingAfter0, 0.3, 4.0),
-                level(Part::ThingAfter1, 0.3, 2.0),
-                level(Part::ThingAfter2, 0.3, 1.0),
-                level(Part::ThingAfter3, 0.3, 0.5),
-                level(Part::ThingAfter4, 0.3, 0.25),
-                level(Part::ThingAfter5, 0.3, 0.25),
-            ],
-        ),
-        expert(
-            Some(Part::ThingHour),
-            [0.06, 0.1],
-            Hour,
-            After(1, 2),
-            &[level(Part::ThingAtHour, 0.5, 20.0), level(Part::ThingAfter1AtHour, 0.5, 1.0)],
-        ),
+        expert(0, "", [0.15, 0.65], Model, Given),
+        expert(40, "thing-habit", [0.08, 0.3], Habit, After(0, 0)).over(&[
+            level(1, "thing-after-0", &[], [0.3, 4.0]),
+            level(2, "thing-after-1", &[Last], [0.3, 2.0]),
+            level(3, "thing-after-2", &[Last, Second], [0.3, 1.0]),
+            level(4, "thing-after-3", &[Last, Second, Third], [0.3, 0.5]),
+            level(5, "thing-after-4", &[Four0, Four1, Four2], [0.3, 0.25]),
+            level(6, "thing-after-5", &[Five0, Five1, Five2], [0.3, 0.25]),
+        ]),
+        expert(41, "thing-hour", [0.06, 0.1], Hour, After(1, 2)).over(&[
+            level(11, "thing-at-hour", &[Hours3], [0.5, 20.0]),
+            level(12, "thing-after-1-at-hour", &[Last, Hours3], [0.5, 1.0]),
+        ]),
     ],
-    product: Some((Part::ThingProduct, 0.71)),
+    product: Some(expert(42, "thing-product", [0.71, 0.0], Model, Given)),
     even: 0.0,
 };
 
 /// The same thing again: how often any thing is mentioned again, and how often the last one was mentioned so often after the same things.
-pub(crate) const AGAIN: Plan = Plan {
+pub(crate) static AGAIN: Plan = Plan {
     experts: &[
-        expert(None, [0.5, 0.0], Model, Given, &[]),
-        expert(
-            Some(Part::AgainHabit),
-            [0.3, 0.0],
-            Habit,
-            Given,
-            &[
-                level(Part::AgainAfter0, 0.0, 2.0),
-                level(Part::AgainAfter1, 0.0, 1.0),
-                level(Part::AgainAfter2, 0.0, 0.7),
-                level(Part::AgainAfter3, 0.0, 0.5),
-            ],
-        ),
-        expert(Some(Part::AgainShare), [0.2, 0.0], Habit, Given, &[]),
+        expert(0, "", [0.5, 0.0], Model, Given),
+        expert(43, "again-habit", [0.3, 0.0], Habit, Given).over(&[
+            level(7, "again-after-0", &[], [0.0, 2.0]).by_times(),
+            level(8, "again-after-1", &[Last], [0.0, 1.0]).by_times(),
+            level(9, "again-after-2", &[Last, Second], [0.0, 0.7]).by_times(),
+            level(10, "again-after-3", &[Last, Second, Third], [0.0, 0.5]).by_times(),
+        ]),
+        expert(44, "again-share", [0.2, 0.0], Habit, Given),
     ],
     product: None,
     even: 0.0,
@@ -79,27 +66,31 @@ const BY_SHARE: usize = 2;
 
 /// The same room or another one: after this room and the last things, by the rooms of the next thing, at this part of the day, and by the time spent
 /// and the pace of events.
-pub(crate) const ROOMS: Plan = Plan {
+pub(crate) static ROOMS: Plan = Plan {
     experts: &[
-        expert(None, [0.1, 0.15], Model, Given, &[]),
-        expert(
-            Some(Part::RoomHabit),
-            [0.06, 0.3],
-            Habit,
-            After(0, 0),
-            &[
-                level(Part::RoomAfterRoom, 0.5, 4.0),
-                level(Part::RoomAfter1, 0.5, 2.0),
-                level(Part::RoomAfter2, 0.5, 0.5),
-                level(Part::RoomAfter3, 0.5, 0.5),
-            ],
-        ),
-        expert(Some(Part::RoomShort), [0.06, 0.15], Habit, After(1, 2), &[]),
-        expert(Some(Part::RoomThings), [0.06, 0.1], Things, Given, &[]),
-        expert(Some(Part::RoomHour), [0.06, 0.15], Hour, After(1, 2), &[level(Part::RoomByHour, 0.5, 2.0)]),
-        expert(Some(Part::RoomDwell), [0.06, 0.1], Habit, After(1, 1), &[level(Part::RoomByDwell, 0.5, 2.0)]),
+        expert(0, "", [0.1, 0.15], Model, Given),
+        expert(45, "room-habit", [0.06, 0.3], Habit, After(0, 0)).over(&[
+            level(14, "room-after-room", &[Here], [0.5, 4.0]),
+            level(15, "room-after-1", &[Last], [0.5, 2.0]).by_times(),
+            level(16, "room-after-2", &[Last, Second], [0.5, 0.5]).by_times(),
+            level(17, "room-after-3", &[Last, Second, Third], [0.5, 0.5]).by_times(),
+        ]),
+        expert(46, "room-short", [0.06, 0.15], Habit, After(1, 2)),
+        expert(47, "room-things", [0.06, 0.1], Things, Given),
+        expert(48, "room-hour", [0.06, 0.15], Hour, After(1, 2)).over(&[level(
+            18,
+            "room-by-hour",
+            &[Here, Hours3],
+            [0.5, 2.0],
+        )]),
+        expert(49, "room-dwell", [0.06, 0.1], Habit, After(1, 1)).over(&[level(
+            31,
+            "room-by-dwell",
+            &[Here, Spent, Pace],
+            [0.5, 2.0],
+        )]),
     ],
-    product: Some((Part::RoomProduct, 0.6)),
+    product: Some(expert(50, "room-product", [0.6, 0.0], Model, Given)),
     even: 0.05,
 };
 const BY_THINGS: usize = 3;
@@ -133,7 +124,7 @@ impl Next {
 
     /// Forecasts the next thing. The model's probabilities need not sum to one. `repeated` has the repeated mentions and all mentions.
     pub(crate) fn things(&mut self, view: &View<'_>, context: &Context, repeated: [f64; 2], model: &[f64]) {
-        let (width, last) = (model.len(), context.last[0]);
+        let (width, last) = (model.len(), context.get(Last));
         self.here = view.home.things.index(last).filter(|thing| *thing < width);
         self.other.begin(width, self.here);
         let own = self.other.row_mut(0);
@@ -158,12 +149,12 @@ impl Next {
     /// Forecasts the next room from the model's probabilities and the expected next things.
     pub(crate) fn rooms(&mut self, view: &View<'_>, context: &Context, model: &[f64], things: &[f64]) {
         let index = |number| view.home.room(number).filter(|room| *room < model.len());
-        self.here = view.home.room(context.here).filter(|room| *room < model.len());
+        self.here = index(context.get(Here));
         self.other.begin(model.len(), self.here);
         let own = self.other.row_mut(0);
         own.iter_mut().zip(model).for_each(|(own, p)| *own = p.max(FLOORS[1]));
         normalise(own);
-        rooms_of(view, context, things, index, self.other.row_mut(BY_THINGS));
+        rooms_of(view, things, index, self.other.row_mut(BY_THINGS));
         self.other.smooth(view, context, index);
         if let Some(here) = self.here {
             self.same.begin(2, None);
@@ -206,52 +197,42 @@ impl Next {
 
     /// Learns from an outcome. Returns whether it was the same as the last one, if that was asked.
     pub(crate) fn learn_weights(&mut self, outcome: usize) -> Option<bool> {
-        if outcome >= self.other.width() {
-            return None;
-        }
         let is_same = self.here == Some(outcome);
-        if !is_same {
+        if outcome < self.other.width() && !is_same {
             self.other.learn(outcome, SHARE);
         }
-        (self.same.width() > 0).then(|| {
+        (outcome < self.other.width() && self.same.width() > 0).then(|| {
             self.same.learn(usize::from(!is_same), SHARE);
             is_same
         })
     }
 
     /// Counts a thing.
-    pub(crate) fn count_thing(&self, counts: &mut Counts, slot: u8, context: &Context, number: u16, at_s: f64) {
-        let last = context.last[0];
-        if last != super::NONE {
-            self.same.count(counts, slot, context, if number == last { SAME } else { OTHER }, at_s);
+    pub(crate) fn count_thing(&self, learner: &mut Learner<'_>, context: &Context, number: u16, at_s: f64) {
+        let last = context.get(Last);
+        if last != NONE {
+            self.same.count(learner, context, if number == last { SAME } else { OTHER }, at_s);
         }
         if number != last {
-            self.other.count(counts, slot, context, number, at_s);
+            self.other.count(learner, context, number, at_s);
         }
     }
 }
 
 /// Writes the rooms of the expected things: those of earlier turns, over the map's rooms.
-fn rooms_of(
-    view: &View<'_>,
-    context: &Context,
-    things: &[f64],
-    index: impl Fn(u16) -> Option<usize>,
-    rooms: &mut [f64],
-) {
+fn rooms_of(view: &View<'_>, things: &[f64], index: impl Fn(u16) -> Option<usize>, rooms: &mut [f64]) {
     for (thing, p) in things.iter().enumerate() {
         let mut of_map = *p;
         let number = view.home.things.number(thing).filter(|_| *p > UNLIKELY);
-        let last = |number| Context { last: [number; super::context::LAST], ..*context };
-        if let Some(seen) = number.and_then(|number| view.own(Part::RoomOfThing, &last(number))) {
-            let total: f64 = seen.symbols().filter(|(n, _)| index(*n).is_some()).map(|(_, count)| count).sum();
-            let scale = p / (total + MAP_STRENGTH);
-            for (number, count) in seen.symbols() {
-                index(number).into_iter().for_each(|room| rooms[room] += count * scale);
-            }
+        let seen =
+            number.and_then(|number| view.get(&OF_THING, key(OF_THING.part.number, view.slot, [number, NONE, NONE])));
+        if let Some(seen) = seen {
+            let seen = || seen.symbols().filter_map(|(number, count)| Some((index(number)?, count)));
+            let scale = p / (seen().map(|(_, count)| count).sum::<f64>() + MAP_STRENGTH);
+            seen().for_each(|(room, count)| rooms[room] += count * scale);
             of_map = MAP_STRENGTH * scale;
         }
-        rooms.iter_mut().zip(view.home.shares_of(thing)).for_each(|(sum, share)| *sum += of_map * share);
+        add(rooms, view.home.shares_of(thing), of_map);
     }
     rooms.iter_mut().for_each(|p| *p += FLOORS[1]);
     normalise(rooms);

@@ -1,22 +1,15 @@
 //! Forecasts of the same outcomes as one: each alone, and all of them multiplied, mixed by fixed share.
 //!
-//! Each expert begins with the probabilities of another one and mixes what its contexts have seen over them, level by level. The first row is the
-//! forecast without habits.
-//!
-//! ```text
-//! product: p(w) ~ product over i of p_i(w)^l_i
-//! ```
-//!
-//! A sum of forecasts follows the most confident one. A product keeps the outcomes that all forecasts find likely: those things that the model
-//! expects and this home has. After every outcome each power `l_i` takes a gradient step, which shrinks as its information grows. A product may be
-//! worse than any of its factors, so it is one expert of a mixture with a bound.
+//! Each expert begins with the probabilities of another one and mixes what its contexts have seen over them, level by level. A sum of forecasts
+//! follows the most confident one. The product `p(w) ~ product over i of p_i(w)^l_i` keeps the outcomes that all forecasts find likely: those things
+//! that the model expects and this home has. After every outcome each power `l_i` takes a gradient step, which shrinks as its information grows.
 
-use super::context::{Context, minute};
-use super::counts::Counts;
+use super::context::{Context, Level, Part, Without};
 use super::mixture::FixedShare;
-use super::parts::{MOST, Part, Without};
-use super::view::{Level, View};
+use super::view::{Learner, View, add};
 
+/// Greatest sum of observations: ten observations a second for a century make a third of it.
+pub(crate) const MOST: f64 = 1e11;
 /// Information of the first powers, and the least information later.
 const FIRST_INFORMATION: f64 = 40.0;
 const INFORMATION: f64 = 20.0;
@@ -37,43 +30,40 @@ pub(crate) enum Source {
     Hour,
 }
 
-/// Where the probabilities of an expert begin.
+/// Where the probabilities of an expert begin: the caller writes them, or they are those of another expert after so many of its levels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Begin {
-    /// The caller writes them.
     Given,
-    /// With those of another expert after so many of its levels. The forecast without habits is expert 0.
     After(usize, usize),
 }
 
 #[derive(Debug)]
 pub(crate) struct Expert {
-    /// `None` if it cannot be left out.
-    part: Option<Part>,
+    pub(crate) part: Part,
     /// Weight in the mixture, in proportion, and first power in the product.
     prior: f64,
     power: f64,
     source: Source,
     begin: Begin,
-    levels: &'static [Level],
+    pub(crate) levels: &'static [Level],
 }
 
-pub(crate) const fn expert(
-    part: Option<Part>,
-    [prior, power]: [f64; 2],
-    source: Source,
-    begin: Begin,
-    levels: &'static [Level],
-) -> Expert {
-    Expert { part, prior, power, source, begin, levels }
+pub(crate) const fn expert(number: u8, name: &'static str, weights: [f64; 2], source: Source, begin: Begin) -> Expert {
+    Expert { part: Part { number, name }, prior: weights[0], power: weights[1], source, begin, levels: &[] }
+}
+
+impl Expert {
+    pub(crate) const fn over(self, levels: &'static [Level]) -> Self {
+        Self { levels, ..self }
+    }
 }
 
 /// The experts of a pool, the forecast without habits first.
 #[derive(Debug)]
 pub(crate) struct Plan {
     pub(crate) experts: &'static [Expert],
-    /// Weight of the product of all experts, if there is one.
-    pub(crate) product: Option<(Part, f64)>,
+    /// The product of all experts, if there is one.
+    pub(crate) product: Option<Expert>,
     /// Share of even chances under the first contexts: it limits the cost of new outcomes when the forecast without habits is far off.
     pub(crate) even: f64,
 }
@@ -94,7 +84,7 @@ pub(crate) struct Pool {
     pub(crate) observations: [f64; 4],
     logs: Vec<f32>,
     width: usize,
-    without: Option<usize>,
+    excluded: Option<usize>,
     /// The mixture of the rows.
     pub(crate) mixed: Vec<f64>,
 }
@@ -114,18 +104,15 @@ fn ln(x: f32) -> f32 {
 impl Pool {
     /// `first` is the first weight of the forecast without habits.
     pub(crate) fn new(plan: &'static Plan, first: f64, without: Without) -> Self {
-        let uses = |part: Option<Part>| part.is_none_or(|part| without.uses(part));
-        let weight = |part, prior| if uses(part) { prior } else { 0.0 };
-        let experts = plan.experts.iter().map(|expert| weight(expert.part, expert.prior));
-        let product = plan.product.map(|(part, prior)| weight(Some(part), prior));
+        let weight = |expert: &Expert| if without.uses(expert.part) { expert.prior } else { 0.0 };
         let factors = if plan.product.is_some() { plan.experts } else { &[] };
-        let power = |expert: &Expert| match uses(expert.part) {
+        let power = |expert: &Expert| match without.uses(expert.part) {
             true => [expert.power, FIRST_INFORMATION],
             false => [0.0, f64::MAX],
         };
         Self {
             plan,
-            mixture: FixedShare::new(first, experts.chain(product)),
+            mixture: FixedShare::new(first, plan.experts.iter().chain(&plan.product).map(weight)),
             powers: factors.iter().map(power).collect(),
             expected: vec![[0.0; 2]; factors.len()],
             rows: Vec::new(),
@@ -133,14 +120,14 @@ impl Pool {
             observations: [0.0; 4],
             logs: Vec::new(),
             width: 0,
-            without: None,
+            excluded: None,
             mixed: Vec::new(),
         }
     }
 
-    /// Begins forecasts of `width` outcomes; the rows must exclude the outcome `without`.
-    pub(crate) fn begin(&mut self, width: usize, without: Option<usize>) {
-        (self.width, self.without) = (width, without);
+    /// Begins forecasts of `width` outcomes; the rows must give nothing to the excluded one.
+    pub(crate) fn begin(&mut self, width: usize, excluded: Option<usize>) {
+        (self.width, self.excluded) = (width, excluded);
         self.rows.clear();
         self.rows.resize(self.mixture.weights().len() * width, 0.0);
         self.kept.fill(0.0);
@@ -172,10 +159,8 @@ impl Pool {
             for (depth, level) in expert.levels.iter().enumerate() {
                 let (left, seen) = view.smooth(level, context, &index, self.row_mut(at));
                 self.kept[at] *= left;
-                if at == 1
-                    && let Some(own) = self.observations.get_mut(depth)
-                {
-                    *own = seen;
+                if at == 1 {
+                    self.observations.get_mut(depth).into_iter().for_each(|own| *own = seen);
                 }
                 self.pass_on(at, depth + 1);
             }
@@ -202,7 +187,7 @@ impl Pool {
         self.mixed.clear();
         self.mixed.resize(self.width, 0.0);
         for (row, weight) in self.rows.chunks_exact(self.width.max(1)).zip(self.mixture.weights()) {
-            self.mixed.iter_mut().zip(row).for_each(|(mixed, p)| *mixed += weight * p);
+            add(&mut self.mixed, row, *weight);
         }
     }
 
@@ -212,15 +197,14 @@ impl Pool {
         self.logs.resize((factors + 1) * width, 0.0);
         let (rows, product) = self.rows.split_at_mut(factors * width);
         let (sums, logs) = self.logs.split_at_mut(width);
-        for ((logs, row), [power, _]) in
-            logs.chunks_exact_mut(width.max(1)).zip(rows.chunks_exact(width.max(1))).zip(&self.powers)
-        {
-            for ((log, sum), p) in logs.iter_mut().zip(sums.iter_mut()).zip(row) {
+        for (factor, [power, _]) in self.powers.iter().enumerate() {
+            let cells = factor * width..(factor + 1) * width;
+            for ((log, sum), p) in logs[cells.clone()].iter_mut().zip(sums.iter_mut()).zip(&rows[cells]) {
                 *log = ln((*p as f32).max(FLOOR));
                 *sum += *power as f32 * *log;
             }
         }
-        if let Some(sum) = self.without.and_then(|without| sums.get_mut(without)) {
+        if let Some(sum) = self.excluded.and_then(|excluded| sums.get_mut(excluded)) {
             *sum = f32::NEG_INFINITY;
         }
         let greatest = sums.iter().copied().fold(f32::NEG_INFINITY, f32::max).max(f32::MIN);
@@ -269,10 +253,9 @@ impl Pool {
     }
 
     /// Counts an outcome in every context.
-    pub(crate) fn count(&self, counts: &mut Counts, slot: u8, context: &Context, symbol: u16, at_s: f64) {
-        for level in self.plan.experts.iter().flat_map(|expert| expert.levels) {
-            counts.add(context.key(level.part, slot), symbol, 1.0, minute(at_s));
-        }
+    pub(crate) fn count(&self, learner: &mut Learner<'_>, context: &Context, symbol: u16, at_s: f64) {
+        let levels = self.plan.experts.iter().flat_map(|expert| expert.levels);
+        levels.for_each(|level| learner.count(level, context, (symbol, 1.0), at_s));
     }
 
     /// The share of each source in an outcome's probability. Each factor's share of the product is its power.

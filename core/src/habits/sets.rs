@@ -2,13 +2,7 @@
 //!
 //! Adaptive conformal inference (Gibbs and Candes): a set takes the places with at least a threshold probability, a quantile of the probabilities
 //! of true places. The quantile moves by a step after every hit and miss, so that the share of misses converges to the target even while the home
-//! changes. Of all sets with the same coverage these have the fewest places on average.
-//!
-//! A night is one long hit. So the quantile covers about a week, and the step is small. With a memory of hours sets would be small at night and would
-//! hold whole homes by day in compensation.
-//!
-//! For a forecast of another kind, and before anything was learned, a set takes the likeliest places until their sum is the coverage
-//! ([`AdaptiveSets::cover`]). A set by the threshold may be empty; this belongs to the promised coverage.
+//! changes. A night is one long hit, so the quantile covers about a week: with a memory of hours, sets would be small at night and whole homes by day.
 
 /// Options of sets.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,7 +24,7 @@ impl Default for SetOptions {
 /// How far the share of misses may go below 0 and above 1.
 const SERIES: f64 = 0.5;
 /// Classes of probabilities of true places, of equal width in [`odds`].
-pub(crate) const CLASSES: usize = 256;
+const CLASSES: usize = 256;
 /// Probabilities are clamped to this distance from 0 and 1.
 const NEAREST: f64 = 1e-4;
 /// Outcomes after which one counts half: five days of minutes.
@@ -45,12 +39,6 @@ const ROUNDING: f64 = 1e-9;
 fn odds(p: f64) -> f64 {
     let p = p.clamp(NEAREST, 1.0 - NEAREST);
     (p / (1.0 - p)).ln()
-}
-
-/// The greatest odds, and the width of a class.
-fn widest() -> (f64, f64) {
-    let most = odds(1.0);
-    (most, 2.0 * most / CLASSES as f64)
 }
 
 /// The sets of one horizon.
@@ -81,7 +69,6 @@ impl AdaptiveSets {
         sets
     }
 
-    /// The threshold.
     fn least(&self) -> f64 {
         if self.miss >= 1.0 {
             return f64::INFINITY;
@@ -94,10 +81,9 @@ impl AdaptiveSets {
         if misses < 0.0 {
             return 0.0;
         }
-        let (most, width) = widest();
         for (class, seen) in self.seen.iter().enumerate() {
             if *seen > misses {
-                let at = width * (class as f64 + misses / seen) - most;
+                let at = 2.0 * odds(1.0) * ((class as f64 + misses / seen) / CLASSES as f64 - 0.5);
                 return 1.0 / (1.0 + (-at).exp());
             }
             misses -= seen;
@@ -142,12 +128,10 @@ impl AdaptiveSets {
 
     /// Learns the forecast's probability of the person's place after the horizon; `threshold` is the one of the set.
     pub fn learn(&mut self, p: f64, threshold: f64) {
-        // Counts it.
         let kept = (-1.0 / HALF_LIFE).exp2();
         self.seen.iter_mut().for_each(|seen| *seen *= kept);
-        let (most, width) = widest();
-        let class = ((odds(p) + most) / width) as usize;
-        self.seen[class.min(CLASSES - 1)] += 1.0;
+        let class = (odds(p) / (2.0 * odds(1.0)) + 0.5) * CLASSES as f64;
+        self.seen[(class as usize).min(CLASSES - 1)] += 1.0;
         self.total = self.total * kept + 1.0;
         let asked = 1.0 - self.options.coverage;
         self.miss += self.options.step * (asked - f64::from(u8::from(p < threshold)));

@@ -2,9 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::context::{NONE, Number, SLOT_MASK, key, split};
+use super::counts::Row;
 use super::names::Names;
-use super::parts::{MOST, NONE, Number, Part, SLOT_MASK, key, split};
-use super::pool::Pool;
+use super::parts;
+use super::pool::{MOST, Pool};
+use super::stays::Anchor;
 use super::{Habits, HabitsOptions, PERSONS_MAX, Person};
 use crate::ids::PersonId;
 use crate::parsing::{Keyed, json_says, list_of_keyed};
@@ -18,26 +21,11 @@ pub const BYTES_MAX: usize = 16 << 20;
 
 /// Why a stored state cannot be used; it is rejected as a whole.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum StoredError {
-    /// Another version wrote it.
-    #[error(
-        "the habits are of version {found}, this program reads versions {OLDEST} to {VERSION}: use the program that wrote them, or forget them"
-    )]
-    Version {
-        /// Its version.
-        found: u16,
-    },
-    /// A value is impossible.
-    #[error("the habits are malformed: {what}; restore a copy, or begin again")]
-    Malformed {
-        /// The impossible value.
-        what: String,
-    },
-}
+#[error("the habits are {0}")]
+pub struct StoredError(String);
 
-fn malformed(what: impl Into<String>) -> StoredError {
-    StoredError::Malformed { what: what.into() }
+fn malformed(what: impl std::fmt::Display) -> StoredError {
+    StoredError(format!("malformed: {what}; restore a copy, or begin again"))
 }
 
 /// A name of a thing or place.
@@ -105,51 +93,6 @@ pub struct Stored {
     pub rows: Vec<StoredRow>,
 }
 
-impl Stored {
-    /// Converts the version of 0.1.0: its counts stay, except for those with other numbers in their keys; the rest is learned again.
-    fn convert(&mut self) {
-        for person in &mut self.persons {
-            person.weights.clear();
-            for anchor in &mut person.anchors {
-                (anchor.miss, anchor.scores) = (f64::NAN, Vec::new());
-            }
-        }
-        use Part::{LaterByDwell, RoomByDwell, Stay, StayByHour, StayByPlace, ThingAtHour};
-        let others = [ThingAtHour, RoomByDwell, Stay, StayByPlace, StayByHour, LaterByDwell];
-        self.rows.retain(|row| others.iter().all(|part| *part as u8 != row.kind));
-    }
-}
-
-impl StoredPerson {
-    fn check(&self) -> Result<(), StoredError> {
-        let [repeated, turned] = self.repeated;
-        let of_anchors = self.anchors.iter().flat_map(|a| [a.stayed, a.sampled]);
-        let mut all = [self.observations, repeated, turned].into_iter().chain(of_anchors);
-        if !all.all(|value| (0.0..=MOST).contains(&value)) {
-            return Err(malformed(format!("a count of person {} is no count", self.number)));
-        }
-        if repeated > turned || !self.anchors.iter().all(|a| a.stayed <= a.sampled && a.sampled > 0.0) {
-            return Err(malformed(format!("person {} stayed more often than there were times", self.number)));
-        }
-        Ok(())
-    }
-}
-
-impl StoredRow {
-    /// Checks the counts, and drops those of no symbol, which earlier versions wrote.
-    fn check(&mut self) -> Result<(), StoredError> {
-        self.counts.retain(|(_, count)| *count != 0.0);
-        self.counts.sort_by_key(|(symbol, _)| *symbol);
-        let is_once = self.counts.windows(2).all(|pair| pair[0].0 < pair[1].0);
-        let total: f64 = self.counts.iter().map(|(_, count)| f64::from(*count)).sum();
-        let is_sound = is_once && total <= MOST && self.counts.iter().all(|(_, count)| *count > 0.0);
-        if !is_sound {
-            return Err(malformed(format!("counts of kind {} are no counts, come twice, or are too large", self.kind)));
-        }
-        Ok(())
-    }
-}
-
 impl Person {
     /// The mixtures, always in the same sequence.
     fn pools(&mut self) -> impl Iterator<Item = &mut Pool> {
@@ -160,37 +103,41 @@ impl Person {
 
     fn stored(mut self) -> StoredPerson {
         let weights = self.pools().flat_map(|pool| pool.learned().collect::<Vec<_>>()).collect();
-        let anchors = self.stays.anchors.iter().map(|anchor| {
-            let ((miss, scores), [stayed, sampled]) = (anchor.sets.state(), anchor.stayed);
-            StoredAnchor { stayed, sampled, miss, scores }
+        let Self { number, slot, observations, repeated, stays, .. } = self;
+        let anchors = stays.anchors.iter().map(|Anchor { sets, stayed: [stayed, sampled], .. }| {
+            let (miss, scores) = sets.state();
+            StoredAnchor { stayed: *stayed, sampled: *sampled, miss, scores }
         });
-        StoredPerson {
-            number: self.number.0,
-            slot: self.slot,
-            observations: self.observations,
-            repeated: self.repeated,
-            weights,
-            anchors: anchors.collect(),
-        }
+        StoredPerson { number: number.0, slot, observations, repeated, weights, anchors: anchors.collect() }
     }
 
-    /// Restores a person; impossible weights are learned again.
-    fn restore(&mut self, from: &StoredPerson) -> Result<(), StoredError> {
-        self.observations = from.observations;
-        self.repeated = [from.repeated[0], from.repeated[1].max(1.0)];
-        let mut rest = from.weights.as_slice();
-        for pool in self.pools().filter(|_| !from.weights.is_empty()) {
-            let missing = || malformed(format!("weights of person {} are missing", from.number));
+    /// A person of these values. Impossible weights are learned again, and all of an earlier version.
+    fn restored(from: &StoredPerson, version: u16, options: &HabitsOptions) -> Result<Self, StoredError> {
+        let StoredPerson { number, slot, observations, repeated, weights, anchors } = from;
+        let pairs = || anchors.iter().map(|anchor| [anchor.stayed, anchor.sampled]).chain([*repeated]);
+        if !pairs().flatten().chain([*observations]).all(|value| (0.0..=MOST).contains(&value)) {
+            return Err(malformed(format_args!("a count of person {number} is no count")));
+        }
+        if pairs().any(|[some, all]| some > all) || anchors.iter().any(|anchor| anchor.sampled <= 0.0) {
+            return Err(malformed(format_args!("person {number} stayed more often than there were times")));
+        }
+        let mut person = Self::new(PersonId(*number), *slot, options);
+        (person.observations, person.repeated) = (*observations, [repeated[0], repeated[1].max(1.0)]);
+        let mut rest = weights.as_slice();
+        for pool in person.pools().filter(|_| version > OLDEST) {
+            let missing = || malformed(format_args!("weights of person {number} are missing"));
             rest = pool.restore(rest).ok_or_else(missing)?;
         }
-        if from.anchors.len() != self.stays.anchors.len() {
-            return Err(malformed(format!("horizons of person {} are missing", from.number)));
+        if anchors.len() != person.stays.anchors.len() {
+            return Err(malformed(format_args!("horizons of person {number} are missing")));
         }
-        for (anchor, from) in self.stays.anchors.iter_mut().zip(&from.anchors) {
-            anchor.stayed = [from.stayed, from.sampled];
-            anchor.sets.restore(from.miss, &from.scores);
+        for (own, anchor) in person.stays.anchors.iter_mut().zip(anchors) {
+            own.stayed = [anchor.stayed, anchor.sampled];
+            if version > OLDEST {
+                own.sets.restore(anchor.miss, &anchor.scores);
+            }
         }
-        Ok(())
+        Ok(person)
     }
 }
 
@@ -199,7 +146,7 @@ impl Habits {
     #[must_use]
     pub fn stored(&self) -> Stored {
         let names = |names: &Names| names.names().iter().map(|name| StoredName { name: name.clone() }).collect();
-        let row = |(key, touched_min, counts): (u64, u32, Vec<(u16, f32)>)| {
+        let row = |(key, Row { touched_min, counts }): (u64, Row)| {
             let (kind, slot, after) = split(key);
             StoredRow { kind, slot, after, touched_min, counts }
         };
@@ -213,59 +160,66 @@ impl Habits {
     }
 
     /// Habits of these values, without a map and without places of persons. If there is more than the limits of `options` allow, the least useful
-    /// counts are dropped.
+    /// counts are dropped. Of 0.1.0 the counts stay, except for those with other numbers in their keys.
     ///
     /// # Errors
-    /// [`StoredError`] when the values are of another version, or impossible. Then the habits stay as they were.
-    pub fn from_stored(options: HabitsOptions, mut stored: Stored) -> Result<Self, StoredError> {
-        let mut habits = Self::new(options);
-        match stored.version {
-            OLDEST => stored.convert(),
-            found if !(OLDEST..=VERSION).contains(&found) => return Err(StoredError::Version { found }),
-            _ => {}
+    /// [`StoredError`] when the values are of another version, or impossible.
+    pub fn from_stored(options: HabitsOptions, stored: Stored) -> Result<Self, StoredError> {
+        let Stored { version, objects, places, persons, rows } = stored;
+        if !(OLDEST..=VERSION).contains(&version) {
+            return Err(StoredError(format!(
+                "of version {version}, this program reads versions {OLDEST} to {VERSION}: use the program that wrote them, or forget them"
+            )));
         }
-        let names = [(&stored.objects, &mut habits.home.things, 0), (&stored.places, &mut habits.home.places, 1)];
-        for (names, own, known) in names {
-            for (at, StoredName { name }) in names.iter().enumerate() {
-                let is_known = at < known && own.names().get(at) == Some(name);
-                if !is_known && own.add(name.clone()) != Some(at as u16) {
-                    return Err(malformed(format!("the name {name:?} comes twice, is too long, or is one too many")));
+        let mut habits = Self::new(options);
+        for (names, own, known) in [(objects, &mut habits.home.things, 0), (places, &mut habits.home.places, 1)] {
+            for (at, StoredName { name }) in names.into_iter().enumerate() {
+                let is_known = at < known && own.names().get(at) == Some(&name);
+                if !is_known && own.add(name.clone(), || None) != Some(at as u16) {
+                    let text = format_args!("the name {name:?} comes twice, is too long, or is one too many");
+                    return Err(malformed(text));
                 }
             }
         }
-        for from in &stored.persons {
-            from.check()?;
-            let number = PersonId(from.number);
-            let is_known = habits.persons.iter().any(|other| other.number == number || other.slot == from.slot);
-            if is_known || usize::from(from.slot) >= PERSONS_MAX {
-                return Err(malformed(format!("person {number} comes twice, or in a place that does not exist")));
+        for from in &persons {
+            let person = Person::restored(from, version, &options)?;
+            let is_known = |other: &Person| other.number == person.number || other.slot == person.slot;
+            if habits.persons.iter().any(is_known) || usize::from(person.slot) >= PERSONS_MAX {
+                let text = format_args!("person {} comes twice, or in a place that does not exist", from.number);
+                return Err(malformed(text));
             }
-            let mut person = Person::new(number, from.slot, &options);
-            person.restore(from)?;
             habits.persons.push(person);
         }
-        for mut row in stored.rows {
-            row.check()?;
-            // A removed context.
-            let Some((part, [first, second, third, counted])) = Part::context(row.kind) else { continue };
+        let kinds = parts::kinds();
+        for StoredRow { kind, slot, after, touched_min, mut counts } in rows {
+            // A removed context, or one with other numbers.
+            let Some([first, second, third, counted]) = kinds[usize::from(kind)] else { continue };
+            if version == OLDEST && [11, 19, 20, 21, 26, 31].contains(&kind) {
+                continue;
+            }
+            // Earlier versions wrote counts of no symbol.
+            counts.retain(|(_, count)| *count != 0.0);
+            let total: f64 = counts.iter().map(|(_, count)| f64::from(*count)).sum();
+            let key = key(kind, slot, after);
+            if total > MOST
+                || counts.iter().any(|(_, count)| !(*count > 0.0))
+                || habits.counts.get(key, touched_min).is_some()
+            {
+                let text = format_args!("counts of kind {kind} are no counts, come twice, or are too large");
+                return Err(malformed(text));
+            }
             let exists = |(is, number): (Number, u16)| match is {
-                Number::Object => number == NONE || usize::from(number) < habits.home.things.names().len(),
+                Number::Thing => number == NONE || usize::from(number) < habits.home.things.names().len(),
                 Number::Place => number == NONE || usize::from(number) < habits.home.places.names().len(),
                 Number::Plain => true,
             };
-            let is_whole = habits.persons.iter().any(|person| person.slot == row.slot & SLOT_MASK)
-                && [first, second, third].into_iter().zip(row.after).all(exists)
-                && row.counts.iter().all(|(symbol, _)| *symbol != NONE && exists((counted, *symbol)));
+            let is_whole = habits.persons.iter().any(|person| person.slot == slot & SLOT_MASK)
+                && [first, second, third].into_iter().zip(after).all(exists)
+                && counts.iter().all(|(symbol, _)| *symbol != NONE && exists((counted, *symbol)));
             if !is_whole {
                 return Err(malformed("a count names a person or a thing that has no name"));
             }
-            let key = key(part, row.slot, row.after);
-            if habits.counts.get(key, row.touched_min).is_some() {
-                return Err(malformed(format!("counts of kind {} come twice", row.kind)));
-            }
-            for (symbol, count) in &row.counts {
-                habits.counts.add(key, *symbol, f64::from(*count), row.touched_min);
-            }
+            counts.iter().for_each(|(symbol, count)| habits.counts.add(key, *symbol, f64::from(*count), touched_min));
         }
         Ok(habits)
     }
@@ -275,7 +229,7 @@ impl Habits {
     /// # Errors
     /// When writing JSON fails: a fault of the program.
     pub fn to_json(&self) -> Result<String, StoredError> {
-        serde_json::to_string(&self.stored()).map_err(|error| malformed(error.to_string()))
+        serde_json::to_string(&self.stored()).map_err(malformed)
     }
 
     /// Reads JSON of [`Habits::to_json`].
@@ -284,7 +238,7 @@ impl Habits {
     /// As [`Habits::from_stored`].
     pub fn from_json(options: HabitsOptions, json: &str) -> Result<Self, StoredError> {
         if json.len() > 4 * BYTES_MAX {
-            return Err(malformed(format!("{} bytes are more than {}", json.len(), 4 * BYTES_MAX)));
+            return Err(malformed(format_args!("{} bytes are more than {}", json.len(), 4 * BYTES_MAX)));
         }
         let Keyed(stored): Keyed<Stored> = serde_json::from_str(json).map_err(|error| malformed(json_says(&error)))?;
         Self::from_stored(options, stored)

@@ -7,28 +7,14 @@
 //! p(w) = (n_w - d_w) / (N + c) + (c + D) / (N + c) p'(w),   d_w = min(d, n_w),  D = sum of d_w
 //! ```
 
-use super::context::Context;
+use super::context::{Context, Level, Without, minute};
 use super::counts::{Counts, Seen};
 use super::names::Home;
-use super::parts::{Part, Without};
 
 /// Most other persons in a prior: those with the most observations.
 pub(crate) const OTHERS_MAX: usize = 3;
 /// Own observations that outweigh one observation of another person.
 const OTHERS_STRENGTH: f64 = 4.0;
-
-/// A context. Its counts are mixed over the forecast of a shorter one.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Level {
-    pub(crate) part: Part,
-    pub(crate) discount: f64,
-    /// Observations that the shorter context is worth.
-    pub(crate) concentration: f64,
-}
-
-pub(crate) const fn level(part: Part, discount: f64, concentration: f64) -> Level {
-    Level { part, discount, concentration }
-}
 
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct View<'a> {
@@ -41,20 +27,20 @@ pub(crate) struct View<'a> {
 }
 
 impl<'a> View<'a> {
-    /// The person's counts in a context, if it is used.
-    pub(crate) fn own(&self, part: Part, context: &Context) -> Option<Seen<'a>> {
-        self.without.uses(part).then(|| self.counts.get(context.key(part, self.slot), self.now_min)).flatten()
+    /// The counts of a key, if its level is used.
+    pub(crate) fn get(&self, level: &Level, key: u64) -> Option<Seen<'a>> {
+        self.without.uses(level.part).then(|| self.counts.get(key, self.now_min)).flatten()
     }
 
     /// The counts in a context, each with its strength: first the others', then the person's.
-    pub(crate) fn seen(&self, part: Part, context: &Context) -> impl Iterator<Item = (Seen<'a>, f64)> {
+    pub(crate) fn seen(&self, level: &Level, context: &Context) -> impl Iterator<Item = (Seen<'a>, f64)> {
         let others = self.others.into_iter().flatten().map(|slot| (slot, OTHERS_STRENGTH));
         let slots = others.chain([(self.slot, 1.0)]);
-        slots.filter_map(move |(slot, strength)| Some((View { slot, ..*self }.own(part, context)?, strength)))
+        slots.filter_map(|(slot, strength)| Some((self.get(level, context.key(level, slot))?, strength)))
     }
 
-    /// Mixes a context over the forecast `p` of a shorter one. `index` gives the place of a symbol in `p`; symbols that have none are left out. Returns
-    /// the shorter one's remaining weight, and the person's own observations.
+    /// Mixes a context over the forecast `p` of a shorter one. `index` gives the place of a symbol in `p`, if any. Returns the shorter one's remaining
+    /// weight, and the person's own observations.
     pub(crate) fn smooth(
         &self,
         level: &Level,
@@ -63,8 +49,8 @@ impl<'a> View<'a> {
         p: &mut [f64],
     ) -> (f64, f64) {
         let (mut kept, mut own) = (1.0, 0.0);
-        for (seen, strength) in self.seen(level.part, context) {
-            let (left, total) = smooth(seen, level.discount, strength * level.concentration, &index, p);
+        for (seen, strength) in self.seen(level, context) {
+            let (left, total) = smooth(seen, [level.discount, strength * level.concentration], &index, p);
             kept *= left;
             own = if strength == 1.0 { total } else { own };
         }
@@ -74,28 +60,49 @@ impl<'a> View<'a> {
 
 fn smooth(
     seen: Seen<'_>,
-    discount: f64,
-    concentration: f64,
+    [discount, concentration]: [f64; 2],
     index: impl Fn(u16) -> Option<usize>,
     p: &mut [f64],
 ) -> (f64, f64) {
     let (mut total, mut freed) = (0.0, 0.0);
-    seen.symbols().filter(|(symbol, _)| index(*symbol).is_some()).for_each(|(_, count)| {
+    for (_, count) in seen.symbols().filter(|(symbol, _)| index(*symbol).is_some()) {
         total += count;
         freed += count.min(discount);
-    });
+    }
     if total <= 0.0 {
         return (1.0, 0.0);
     }
     let scale = 1.0 / (total + concentration);
     let kept = (concentration + freed) * scale;
     p.iter_mut().for_each(|p| *p *= kept);
-    seen.symbols().for_each(|(symbol, count)| {
+    for (symbol, count) in seen.symbols() {
         if let Some(p) = index(symbol).and_then(|index| p.get_mut(index)) {
             *p += (count - count.min(discount)) * scale;
         }
-    });
+    }
     (kept, total)
+}
+
+/// A person's counts, for writing.
+#[derive(Debug)]
+pub(crate) struct Learner<'a> {
+    pub(crate) counts: &'a mut Counts,
+    pub(crate) slot: u8,
+    pub(crate) learns: bool,
+}
+
+impl Learner<'_> {
+    /// Counts a symbol in a context, if this is learned.
+    pub(crate) fn count(&mut self, level: &Level, context: &Context, (symbol, weight): (u16, f64), at_s: f64) {
+        if self.learns {
+            self.counts.add(context.key(level, self.slot), symbol, weight, minute(at_s));
+        }
+    }
+}
+
+/// Adds a weighted row to `sums`.
+pub(crate) fn add(sums: &mut [f64], row: &[f64], weight: f64) {
+    sums.iter_mut().zip(row).for_each(|(sum, p)| *sum += weight * p);
 }
 
 /// Scales probabilities to a sum of one; uniform if all are zero.
@@ -122,7 +129,7 @@ mod tests {
             }
             let mut p = [0.1; 10];
             let index = |symbol: u16| (symbol < 10).then_some(usize::from(symbol));
-            let (kept, total) = counts.get(1, 0).map_or((1.0, 0.0), |seen| smooth(seen, discount, concentration, index, &mut p));
+            let (kept, total) = counts.get(1, 0).map_or((1.0, 0.0), |seen| smooth(seen, [discount, concentration], index, &mut p));
             prop_assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-9);
             prop_assert!(p.iter().all(|p| *p > 0.0) && (0.0..=1.0).contains(&kept) && total >= 0.0);
         }
