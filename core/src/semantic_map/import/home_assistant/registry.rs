@@ -7,7 +7,8 @@ use serde_json::Value;
 
 use super::comment;
 use crate::names::Names;
-use crate::semantic_map::import::{ImportError, parse, room_label};
+use crate::semantic_map::import::{ImportError, room_label};
+use crate::semantic_map::schema::parse_json;
 
 const EXPECTED: &str = "a registry of Home Assistant, from the folder `.storage`";
 /// Longer names of devices and entities are ignored, in bytes.
@@ -185,12 +186,6 @@ pub(super) struct Person {
 /// A registry that may be missing. An error names its file.
 pub(super) fn registry<'a, T: Deserialize<'a> + Default>(file: &str, text: Option<&'a str>) -> Result<T, ImportError> {
     let Some(text) = text else { return Ok(T::default()) };
-    let named = |error| match error {
-        ImportError::Json { element, message, expected } => {
-            let within = if ["?", "."].contains(&&*element) { String::new() } else { format!(": {element}") };
-            ImportError::Json { element: format!("{file}{within}"), message, expected }
-        }
-        other => other,
-    };
-    parse::<Registry<T>>(text, EXPECTED).map(|registry| registry.data).map_err(named)
+    let named = |message| ImportError::Json { message: format!("{file}: {message}"), expected: EXPECTED };
+    parse_json::<Registry<T>>(text).map(|registry| registry.data).map_err(named)
 }
