@@ -302,26 +302,25 @@ impl Made {
         let _ = writeln!(text, "{file}\n\nNow look at it, and see what is missing:\n");
         let _ = writeln!(text, "  roomcast scene draw {} --out home.svg", scene.display());
         let _ = writeln!(text, "  roomcast doctor --config {file}");
-        let narrates = found.broker.is_some() && self.rules.is_some();
+        let (has_broker, has_robot) = (found.broker.is_some(), found.robot.is_some());
+        let narrates = has_broker && self.rules.is_some();
         if narrates {
             let _ = writeln!(text, "  roomcast narrate --mqtt --config {file} --dry-run");
         }
-        let _ = writeln!(
-            text,
-            "\nThen start it, each in a terminal of its own, or as services (docs/home.md):\n\n  roomcast daemon --config {file}"
-        );
-        if narrates {
-            let _ = writeln!(text, "  roomcast narrate --mqtt --config {file}");
+        text.push_str("\nThen start it, each in a terminal of its own, or as services (docs/home.md):\n\n");
+        for (is_needed, service) in [
+            (true, "daemon"),
+            (narrates, "narrate --mqtt"),
+            (true, "planner"),
+            (has_broker, "publish mqtt"),
+            (has_robot, "robot"),
+            (true, "view"),
+        ] {
+            if is_needed {
+                let _ = writeln!(text, "  roomcast {service} --config {file}");
+            }
         }
-        let _ = writeln!(text, "  roomcast planner --config {file}");
-        if found.broker.is_some() {
-            let _ = writeln!(text, "  roomcast publish mqtt --config {file}");
-        }
-        if found.robot.is_some() {
-            let _ = writeln!(text, "  roomcast robot --config {file}");
-        }
-        let _ = writeln!(text, "  roomcast view --config {file}");
-        if found.robot.is_some() {
+        if has_robot {
             let _ = writeln!(
                 text,
                 "\n`roomcast robot` only prints what the robot would be told, until [robot] of\n{file}\nhas obey = true."

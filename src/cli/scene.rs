@@ -398,11 +398,8 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
     let _ = writeln!(text, "{items}, {labels}, {}\n", scene_import::doors(map));
 
     let mut partitions = table(&["partition", "size (m)", "items", "labels", "most frequent"]);
-    for number in 1..4 {
-        partitions
-            .column_mut(number)
-            .into_iter()
-            .for_each(|column| drop(column.set_cell_alignment(CellAlignment::Right)));
+    for number in partitions.column_iter_mut().skip(1).take(3) {
+        number.set_cell_alignment(CellAlignment::Right);
     }
     for (index, partition) in (0u32..).zip(grounding.partitions()) {
         let own = Some(PartitionId(index));

@@ -381,14 +381,6 @@ impl SemanticMap {
             .map(|(index, _)| RoomId(index))
     }
 
-    /// The rooms next to `room` through one door, in the doors' order.
-    pub fn neighbours(&self, room: RoomId) -> impl Iterator<Item = RoomId> {
-        self.doors.iter().filter_map(move |door| match door.rooms {
-            [here, there] | [there, here] if here == room => Some(there),
-            _ => None,
-        })
-    }
-
     /// The rooms on a shortest way through doors, both ends included. `None` if there is no way.
     #[must_use]
     pub fn path(&self, from: RoomId, to: RoomId) -> Option<Vec<RoomId>> {
@@ -405,7 +397,11 @@ impl SemanticMap {
                 path.reverse();
                 return Some(path);
             }
-            for next in self.neighbours(room) {
+            let neighbours = self.doors.iter().filter_map(|door| match door.rooms {
+                [here, there] | [there, here] if here == room => Some(there),
+                _ => None,
+            });
+            for next in neighbours {
                 reached_from.entry(next).or_insert_with(|| {
                     waiting.push_back(next);
                     room

@@ -243,13 +243,17 @@ fn missing_thing(said: &str, map: &SemanticMap, mentions: &mut PlaceMatcher) -> 
     (!named.is_empty()).then_some(named)
 }
 
+/// The first level of a topic.
+fn base(topic: &str) -> String {
+    topic.split('/').next().unwrap_or_default().to_owned()
+}
+
 /// The subscriptions: wide ones around the rules' topics, and robots.
 fn filters(config: &Config, rules: Option<&Rules>) -> Vec<String> {
-    let first = |topic: &str| topic.split('/').next().unwrap_or_default().to_owned();
-    let mut roots: Vec<String> = rules.iter().flat_map(|rules| rules.filters()).map(|filter| first(&filter)).collect();
+    let mut roots: Vec<String> = rules.iter().flat_map(|rules| rules.filters()).map(|filter| base(&filter)).collect();
     if has_robot(config) {
-        roots.push(first(&config.robot.topic));
-        roots.extend(config.robot.battery.as_deref().map(first));
+        roots.push(base(&config.robot.topic));
+        roots.extend(config.robot.battery.as_deref().map(base));
     }
     roots.sort();
     roots.dedup();
@@ -302,7 +306,6 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
             || topic.ends_with("/config")
             || topic.contains("roomcast")
     };
-    let base = |topic: &str| topic.split('/').next().unwrap_or_default().to_owned();
     let bases: Vec<String> = rules.filters().iter().map(|filter| base(filter)).collect();
     let is_listened_to = |topic: &str| bases.iter().any(|own| *own == base(topic) || own == "+" || own == "#");
     let all_topics = || seen.topics.iter().filter(|(topic, _)| !own(topic));
@@ -338,34 +341,7 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
     } else if silent.len() == all {
         let found =
             format!("{shown}: nothing was said within {wait_s:.0} s under any topic of its {}", count(all, "rule"));
-        // The same topics under another base.
-        let tail = |topic: &str| topic.split_once('/').map(|(_, tail)| tail.to_owned());
-        let tails: Vec<String> = rules.about().filter_map(|rule| tail(rule.topic)).collect();
-        let other = all_topics().find(|(topic, _)| tail(topic).is_some_and(|own| tails.contains(&own)));
-        // Most rules are of Home Assistant, from `init`; added ones may be of any program.
-        let topics_of = |wanted: &str| rules.about().filter(|rule| base(rule.topic) == wanted).count();
-        let wanted = bases.iter().max_by_key(|base| topics_of(base)).map_or("homeassistant", String::as_str);
-        let (found, remedy) = match other.map(|(topic, _)| base(topic)) {
-            Some(other) => (
-                format!("{found}, and Home Assistant says its states under {other}/"),
-                format!(
-                    "write {other}/ for {wanted}/ in the topics of the rules, or give mqtt_statestream base_topic: {wanted} and restart Home Assistant"
-                ),
-            ),
-            None if !rules.about().any(|rule| is_of_statestream(rule.topic)) => (
-                found,
-                "switch something; if nothing comes then, look in the settings of the devices, or of what brings them to the broker, under which \
-                 topics they speak; roomcast narrate --mqtt --dry-run shows what comes"
-                    .to_owned(),
-            ),
-            None => (
-                found,
-                format!(
-                    "switch something: Home Assistant says a state when it changes; if nothing comes then, give its configuration.yaml \
-                     mqtt_statestream: with base_topic: {wanted}, and restart it; roomcast narrate --mqtt --dry-run shows what comes"
-                ),
-            ),
-        };
+        let (found, remedy) = all_silent(rules, &bases, found, all_topics().map(|(topic, _)| topic.as_str()));
         findings.push(Finding::wrong("topics", found, remedy));
     } else if !silent.is_empty() {
         let mut silent_topics: Vec<&str> = silent.iter().map(|rule| rule.topic).collect();
@@ -376,22 +352,7 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
             "make the devices speak (open the door, switch the lamp); leave out the rules of devices that are gone";
         findings.push(Finding::limited("topics", found, remedy));
     } else {
-        let hears = |number: usize| topics.iter().any(|(topic, _)| rules.fits(number, topic));
-        let hearing = rules.about().filter(|rule| hears(rule.number)).count();
-        let seen = count(topics.len(), "topic");
-        findings.push(match hearing {
-            hearing if hearing == all => Finding::good("topics", format!("{seen} seen, and every rule hears one")),
-            0 => Finding::limited(
-                "topics",
-                format!("{shown}: nothing was said within {wait_s:.0} s under any topic of a rule; every rule fitted a message before"),
-                "switch something and ask again: a broker that was started again has no state until it changes, unless it keeps retained messages \
-                 (mosquitto: persistence true)",
-            ),
-            _ => Finding::good(
-                "topics",
-                format!("{seen} seen: {hearing} of {} hear one, the others fitted a message before", count(all, "rule")),
-            ),
-        });
+        findings.push(all_heard(rules, &topics, place));
     }
     if let Some(counted) = &counted {
         findings.push(never(rules, counted, &fitted, &shown.to_string()));
@@ -408,6 +369,67 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
         ));
     }
     findings
+}
+
+/// Every rule hears a topic now, or fitted a message before.
+fn all_heard(rules: &Rules, topics: &[(&str, &[u8])], place: &Place<'_>) -> Finding {
+    let all = rules.about().count();
+    let hears = |number: usize| topics.iter().any(|(topic, _)| rules.fits(number, topic));
+    let hearing = rules.about().filter(|rule| hears(rule.number)).count();
+    let seen = count(topics.len(), "topic");
+    match hearing {
+        hearing if hearing == all => Finding::good("topics", format!("{seen} seen, and every rule hears one")),
+        0 => Finding::limited(
+            "topics",
+            format!(
+                "nothing was said within {:.0} s under any topic of a rule; every rule fitted a message before",
+                place.wait.as_secs_f64()
+            ),
+            "switch something and ask again: a broker that was started again has no state until it changes, unless it keeps retained messages \
+             (mosquitto: persistence true)",
+        ),
+        _ => Finding::good(
+            "topics",
+            format!("{seen} seen: {hearing} of {} hear one, the others fitted a message before", count(all, "rule")),
+        ),
+    }
+}
+
+/// The reason why no rule hears a topic, after `found`, and its remedy. `said` are the topics of others.
+fn all_silent<'a>(
+    rules: &Rules,
+    bases: &[String],
+    found: String,
+    said: impl IntoIterator<Item = &'a str>,
+) -> (String, String) {
+    // The same topics under another base.
+    let tail = |topic: &str| topic.split_once('/').map(|(_, tail)| tail.to_owned());
+    let tails: Vec<String> = rules.about().filter_map(|rule| tail(rule.topic)).collect();
+    let other = said.into_iter().find(|topic| tail(topic).is_some_and(|own| tails.contains(&own)));
+    // Most rules are of Home Assistant, from `init`; added ones may be of any program.
+    let topics_of = |wanted: &str| rules.about().filter(|rule| base(rule.topic) == wanted).count();
+    let wanted = bases.iter().max_by_key(|base| topics_of(base)).map_or("homeassistant", String::as_str);
+    match other.map(base) {
+        Some(other) => (
+            format!("{found}, and Home Assistant says its states under {other}/"),
+            format!(
+                "write {other}/ for {wanted}/ in the topics of the rules, or give mqtt_statestream base_topic: {wanted} and restart Home Assistant"
+            ),
+        ),
+        None if !rules.about().any(|rule| is_of_statestream(rule.topic)) => (
+            found,
+            "switch something; if nothing comes then, look in the settings of the devices, or of what brings them to the broker, under which \
+             topics they speak; roomcast narrate --mqtt --dry-run shows what comes"
+                .to_owned(),
+        ),
+        None => (
+            found,
+            format!(
+                "switch something: Home Assistant says a state when it changes; if nothing comes then, give its configuration.yaml \
+                 mqtt_statestream: with base_topic: {wanted}, and restart it; roomcast narrate --mqtt --dry-run shows what comes"
+            ),
+        ),
+    }
 }
 
 /// Topics of a rule with a last payload that no rule can read.
@@ -516,30 +538,7 @@ fn robot(config: &Config, map: Option<&SemanticMap>, seen: &Seen, place: &Place<
         }
     }
     if !heard.any {
-        let others: Vec<&str> = (seen.topics.keys())
-            .filter_map(|topic| {
-                topic.strip_suffix("/$state").or_else(|| topic.strip_suffix("/StatusStateAttribute/status"))
-            })
-            .collect();
-        let found = format!("no robot speaks under {topic} ({})", place.shown());
-        let is_of_home_assistant = topic.contains("/vacuum/");
-        let remedy = match others.first() {
-            _ if config.robot.kind == RobotKind::HomeAssistant && others.contains(&topic.as_str()) => {
-                "one that speaks Valetudo does: leave robot.kind out".to_owned()
-            }
-            _ if config.robot.kind == RobotKind::HomeAssistant && !is_of_home_assistant => {
-                "set robot.topic to the vacuum's states, such as homeassistant/vacuum/NAME".to_owned()
-            }
-            _ if config.robot.kind == RobotKind::HomeAssistant => {
-                "let the vacuum do something: Home Assistant says its state under this topic when it changes (mqtt_statestream)".to_owned()
-            }
-            _ if is_of_home_assistant => "set robot.kind = \"home-assistant\"".to_owned(),
-            Some(other) => format!("set robot.topic = {other:?}, which is there"),
-            None => "switch the robot on; in Valetudo connect it to this broker (Settings, Connectivity, MQTT); then set robot.topic to its \
-                     prefix and identifier"
-                .to_owned(),
-        };
-        return vec![Finding::wrong(check, found, remedy)];
+        return vec![no_robot(config, seen, place)];
     }
     let mut findings = Vec::new();
     if heard.online == Some(false) {
@@ -582,6 +581,35 @@ fn robot(config: &Config, map: Option<&SemanticMap>, seen: &Seen, place: &Place<
         (_, None) => {}
     }
     findings
+}
+
+/// The robot's topic is silent.
+fn no_robot(config: &Config, seen: &Seen, place: &Place<'_>) -> Finding {
+    let topic = &config.robot.topic;
+    let others: Vec<&str> = (seen.topics.keys())
+        .filter_map(|topic| {
+            topic.strip_suffix("/$state").or_else(|| topic.strip_suffix("/StatusStateAttribute/status"))
+        })
+        .collect();
+    let found = format!("no robot speaks under {topic} ({})", place.shown());
+    let is_of_home_assistant = topic.contains("/vacuum/");
+    let remedy = match others.first() {
+        _ if config.robot.kind == RobotKind::HomeAssistant && others.contains(&topic.as_str()) => {
+            "one that speaks Valetudo does: leave robot.kind out".to_owned()
+        }
+        _ if config.robot.kind == RobotKind::HomeAssistant && !is_of_home_assistant => {
+            "set robot.topic to the vacuum's states, such as homeassistant/vacuum/NAME".to_owned()
+        }
+        _ if config.robot.kind == RobotKind::HomeAssistant => {
+            "let the vacuum do something: Home Assistant says its state under this topic when it changes (mqtt_statestream)".to_owned()
+        }
+        _ if is_of_home_assistant => "set robot.kind = \"home-assistant\"".to_owned(),
+        Some(other) => format!("set robot.topic = {other:?}, which is there"),
+        None => "switch the robot on; in Valetudo connect it to this broker (Settings, Connectivity, MQTT); then set robot.topic to its \
+                 prefix and identifier"
+            .to_owned(),
+    };
+    Finding::wrong("robot", found, remedy)
 }
 
 /// Home Assistant has a vacuum's battery as a separate sensor.

@@ -32,7 +32,6 @@ pub(super) struct Area {
     #[serde(alias = "area_id")]
     pub(super) id: String,
     pub(super) name: String,
-    #[serde(default)]
     pub(super) floor_id: Option<String>,
     /// Some homes have values here that are no texts.
     #[serde(default)]
@@ -76,7 +75,6 @@ pub(super) struct Floor {
     pub(super) floor_id: String,
     #[serde(default)]
     pub(super) name: String,
-    #[serde(default)]
     pub(super) level: Option<i64>,
 }
 
@@ -88,11 +86,8 @@ pub(super) struct Devices {
 #[derive(Deserialize)]
 pub(super) struct Device {
     pub(super) id: String,
-    #[serde(default)]
     pub(super) area_id: Option<String>,
-    #[serde(default)]
     name: Option<String>,
-    #[serde(default)]
     name_by_user: Option<String>,
 }
 
@@ -104,28 +99,18 @@ pub(super) struct Entities {
 #[derive(Deserialize)]
 pub(super) struct Entity {
     pub(super) entity_id: String,
-    #[serde(default)]
     pub(super) area_id: Option<String>,
-    #[serde(default)]
     pub(super) device_id: Option<String>,
-    #[serde(default)]
     pub(super) name: Option<String>,
-    #[serde(default)]
     pub(super) original_name: Option<String>,
-    #[serde(default)]
     device_class: Option<String>,
-    #[serde(default)]
     original_device_class: Option<String>,
-    #[serde(default)]
     platform: Option<String>,
     #[serde(default)]
     translation_key: Value,
-    #[serde(default)]
-    disabled_by: Value,
-    #[serde(default)]
-    hidden_by: Value,
-    #[serde(default)]
-    entity_category: Value,
+    disabled_by: Option<Value>,
+    hidden_by: Option<Value>,
+    entity_category: Option<Value>,
     #[serde(default)]
     pub(super) unique_id: Value,
     #[serde(default)]
@@ -152,7 +137,7 @@ impl Entity {
 
     /// Disabled, hidden, or an entity of diagnosis or configuration. The registry has null if it is neither.
     pub(super) fn is_quiet(&self) -> bool {
-        [&self.disabled_by, &self.hidden_by, &self.entity_category].iter().any(|value| !value.is_null())
+        [&self.disabled_by, &self.hidden_by, &self.entity_category].iter().any(|value| value.is_some())
     }
 
     /// The names that can name its thing, the user's own first.
