@@ -1,6 +1,7 @@
 //! The rules of scenes: limits, ids, labels, numbers and references. A file becomes a map only if it breaks none.
 
 use std::collections::{BTreeSet, HashMap};
+use std::fmt::Display;
 
 use sha2::{Digest, Sha256};
 
@@ -34,6 +35,17 @@ impl Place<'_> {
         }
     }
 
+    /// Refuses the element unless the rule holds.
+    fn ensure(
+        self,
+        holds: bool,
+        field: &'static str,
+        problem: impl Display,
+        remedy: &'static str,
+    ) -> Result<(), SceneError> {
+        if holds { Ok(()) } else { Err(self.error(field, problem.to_string(), remedy)) }
+    }
+
     fn label(self, label: &str) -> Result<(), SceneError> {
         let remedy = "write lower-case words separated by single spaces, as \"washing machine\"";
         check_label(label).map_err(|problem| self.error("label", problem, remedy))
@@ -41,51 +53,39 @@ impl Place<'_> {
 
     fn point(self, field: &'static str, point_m: &[f64; 3]) -> Result<(), SceneError> {
         // This form also refuses NaN.
-        if point_m.iter().all(|metres| metres.abs() <= FARTHEST_M) {
-            return Ok(());
-        }
-        let problem = format!("{point_m:?} lies farther than 10 km from the origin");
-        Err(self.error(field, problem, "give metres and move the origin into the building"))
+        let is_near = point_m.iter().all(|metres| metres.abs() <= FARTHEST_M);
+        let problem = format_args!("{point_m:?} lies farther than 10 km from the origin");
+        self.ensure(is_near, field, problem, "give metres and move the origin into the building")
     }
 
     fn bounds(self, bounds: &Box3) -> Result<(), SceneError> {
         self.point("box", &bounds.min_m)?;
         self.point("box", &bounds.max_m)?;
-        if (0..3).all(|axis| bounds.min_m[axis] <= bounds.max_m[axis]) {
-            return Ok(());
-        }
-        let problem = format!("min_m {:?} exceeds max_m {:?}", bounds.min_m, bounds.max_m);
-        Err(self.error("box", problem, "give the least corner as min_m and the greatest as max_m"))
+        let is_box = (0..3).all(|axis| bounds.min_m[axis] <= bounds.max_m[axis]);
+        let problem = format_args!("min_m {:?} exceeds max_m {:?}", bounds.min_m, bounds.max_m);
+        self.ensure(is_box, "box", problem, "give the least corner as min_m and the greatest as max_m")
     }
 
     fn captions(self, entry: &ItemEntry) -> Result<(), SceneError> {
         let captions = &entry.captions;
-        if captions.len() > MAX_CAPTIONS {
-            let problem = format!("{} entries, more than {MAX_CAPTIONS}", captions.len());
-            return Err(self.error("captions", problem, "keep the heaviest"));
-        }
+        let problem = format_args!("{} entries, more than {MAX_CAPTIONS}", captions.len());
+        self.ensure(captions.len() <= MAX_CAPTIONS, "captions", problem, "keep the heaviest")?;
         let total: f64 = captions.iter().map(|caption| caption.weight).sum();
         for (index, CaptionEntry { label, weight }) in captions.iter().enumerate() {
             self.label(label)?;
             // Within these bounds no sum or share overflows or underflows; NaN fails, too.
-            if !(1e-9..=1e9).contains(weight) {
-                let problem = format!("the weight {weight} is not between 1e-9 and 1e9");
-                return Err(self.error("captions", problem, "give a positive weight or remove the caption"));
-            }
+            let problem = format_args!("the weight {weight} is not between 1e-9 and 1e9");
+            let remedy = "give a positive weight or remove the caption";
+            self.ensure((1e-9..=1e9).contains(weight), "captions", problem, remedy)?;
             // Files contain the shares, so they must be large enough to be read back.
-            if weight / total.max(1.0) < SHARE_MIN {
-                let problem = format!("the weight {weight} is less than {SHARE_MIN} of all");
-                return Err(self.error("captions", problem, "remove the caption"));
-            }
-            if captions[..index].iter().any(|earlier| earlier.label == *label) {
-                return Err(self.error("captions", format!("has {label:?} twice"), "add the weights up in one entry"));
-            }
+            let problem = format_args!("the weight {weight} is less than {SHARE_MIN} of all");
+            self.ensure(weight / total.max(1.0) >= SHARE_MIN, "captions", problem, "remove the caption")?;
+            let is_new = captions[..index].iter().all(|earlier| earlier.label != *label);
+            self.ensure(is_new, "captions", format_args!("has {label:?} twice"), "add the weights up in one entry")?;
         }
-        if !captions.is_empty() && captions.iter().all(|caption| caption.label != entry.label) {
-            let problem = format!("{:?} is not among its captions", entry.label);
-            return Err(self.error("label", problem, "make it the heaviest caption"));
-        }
-        Ok(())
+        let has_own = captions.is_empty() || captions.iter().any(|caption| caption.label == entry.label);
+        let problem = format_args!("{:?} is not among its captions", entry.label);
+        self.ensure(has_own, "label", problem, "make it the heaviest caption")
     }
 }
 
@@ -143,10 +143,8 @@ struct Ids<'a>(HashMap<&'a str, usize>);
 impl<'a> Ids<'a> {
     fn insert(&mut self, place: Place<'a>) -> Result<(), SceneError> {
         check_id(place.list, place.index, place.id)?;
-        match self.0.insert(place.id, place.index) {
-            None => Ok(()),
-            Some(_) => Err(place.error("id", "is used twice", "give every element an id of its own")),
-        }
+        let is_new = self.0.insert(place.id, place.index).is_none();
+        place.ensure(is_new, "id", "is used twice", "give every element an id of its own")
     }
 }
 
@@ -187,9 +185,7 @@ impl SemanticMap {
         ] {
             check_count(list, count, most)?;
         }
-        if file.rooms.is_empty() {
-            return Err(scene.error("rooms", "has no entry", "give at least one room"));
-        }
+        scene.ensure(!file.rooms.is_empty(), "rooms", "has no entry", "give at least one room")?;
 
         let mut faults = Vec::new();
         let texts = [
@@ -276,10 +272,9 @@ impl<'a> Partitions<'a> {
         let room = self.find(place, "room", &entry.room)?;
         let around = self.rooms[room.0 as usize].space.bounds;
         let space = self.space(place, entry.extent(), Some(around))?;
-        if !self.rooms[room.0 as usize].space.meets(&space) {
-            let field = if space.footprint.is_some() { "footprint" } else { "box" };
-            return Err(place.error(field, "lies outside its room", "give a place inside the room"));
-        }
+        let field = if space.footprint.is_some() { "footprint" } else { "box" };
+        let is_inside = self.rooms[room.0 as usize].space.meets(&space);
+        place.ensure(is_inside, field, "lies outside its room", "give a place inside the room")?;
         Ok(Part { id: entry.id.clone(), label: entry.label.clone(), room, space })
     }
 
@@ -292,16 +287,13 @@ impl<'a> Partitions<'a> {
         let place = Place { list: "groups", index, id: &entry.id };
         self.ids.insert(place)?;
         place.label(&entry.label)?;
-        if entry.rooms.is_empty() {
-            return Err(place.error("rooms", "has no entry", "name at least one room or remove the group"));
-        }
+        let remedy = "name at least one room or remove the group";
+        place.ensure(!entry.rooms.is_empty(), "rooms", "has no entry", remedy)?;
         let mut rooms = Vec::with_capacity(entry.rooms.len());
         for id in &entry.rooms {
             let room = self.find(place, "rooms", id)?;
-            if !grouped.insert(room) {
-                let problem = format!("the room {id:?} is already in a group");
-                return Err(place.error("rooms", problem, "put every room into at most one group, once"));
-            }
+            let problem = format_args!("the room {id:?} is already in a group");
+            place.ensure(grouped.insert(room), "rooms", problem, "put every room into at most one group, once")?;
             rooms.push(room);
         }
         let own = entry.extent();
@@ -325,9 +317,7 @@ impl<'a> Partitions<'a> {
         place.point("position_m", &entry.position_m)?;
         let [a, b] = &entry.rooms;
         let rooms = [self.find(place, "rooms", a)?, self.find(place, "rooms", b)?];
-        if rooms[0] == rooms[1] {
-            return Err(place.error("rooms", "joins a room to itself", "name two different rooms"));
-        }
+        place.ensure(rooms[0] != rooms[1], "rooms", "joins a room to itself", "name two different rooms")?;
         Ok(Door { id: entry.id.clone(), rooms, position_m: entry.position_m })
     }
 
@@ -343,19 +333,15 @@ impl<'a> Partitions<'a> {
     fn space(&mut self, place: Place, extent: Extent, around: Option<Box3>) -> Result<Space, SceneError> {
         if let Some(bounds) = &extent.bounds {
             place.bounds(bounds)?;
-            if bounds.volume_m3() <= 0.0 {
-                let problem = "has no volume, so nothing can lie in it";
-                return Err(place.error("box", problem, "give it a length, a width and a height"));
-            }
+            let problem = "has no volume, so nothing can lie in it";
+            place.ensure(bounds.volume_m3() > 0.0, "box", problem, "give it a length, a width and a height")?;
         }
         if let Some(rings) = extent.footprint {
             return self.prism(place, rings, extent, around);
         }
         for (field, given) in [("floor", extent.floor), ("height", extent.height)] {
-            if given.is_some() {
-                let remedy = "give a `footprint`, too, or say it in the `box`";
-                return Err(place.error(field, "belongs to a footprint", remedy));
-            }
+            let remedy = "give a `footprint`, too, or say it in the `box`";
+            place.ensure(given.is_none(), field, "belongs to a footprint", remedy)?;
         }
         let remedy = "give a `box`, or a `footprint` with `floor` and `height`";
         extent.bounds.map(Space::from).ok_or_else(|| place.error("box", "is missing", remedy))
@@ -368,10 +354,8 @@ impl<'a> Partitions<'a> {
         extent: Extent,
         around: Option<Box3>,
     ) -> Result<Space, SceneError> {
-        if self.version < 2 {
-            let remedy = "write \"version\": 2 at the top of the file";
-            return Err(place.error("footprint", "is a key of version 2", remedy));
-        }
+        let remedy = "write \"version\": 2 at the top of the file";
+        place.ensure(self.version >= 2, "footprint", "is a key of version 2", remedy)?;
         // Before any other work on the corners.
         let left = self.corners_left.checked_sub(rings.iter().map(Vec::len).sum());
         self.corners_left = left.ok_or_else(|| {
@@ -390,19 +374,16 @@ impl<'a> Partitions<'a> {
         place.point("height", &bounds.max_m)?;
         if let Some(own) = extent.bounds {
             let agree = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= ROUNDED_M);
-            if !agree(own.min_m, bounds.min_m) || !agree(own.max_m, bounds.max_m) {
-                let problem = format!(
-                    "from {:?} to {:?} is not the box around the footprint, from {:?} to {:?}",
-                    own.min_m, own.max_m, bounds.min_m, bounds.max_m
-                );
-                return Err(place.error("box", problem, "leave out the box of an element that has a footprint"));
-            }
+            let is_around = agree(own.min_m, bounds.min_m) && agree(own.max_m, bounds.max_m);
+            let problem = format_args!(
+                "from {:?} to {:?} is not the box around the footprint, from {:?} to {:?}",
+                own.min_m, own.max_m, bounds.min_m, bounds.max_m
+            );
+            place.ensure(is_around, "box", problem, "leave out the box of an element that has a footprint")?;
             (bounds.min_m[2], bounds.max_m[2]) = (own.min_m[2], own.max_m[2]);
         }
-        if bounds.volume_m3() <= 0.0 {
-            let problem = "leaves no volume, so nothing can lie in it";
-            return Err(place.error("height", problem, "give the height in metres"));
-        }
+        let problem = "leaves no volume, so nothing can lie in it";
+        place.ensure(bounds.volume_m3() > 0.0, "height", problem, "give the height in metres")?;
         Ok(Space { bounds, footprint: Some(footprint) })
     }
 }

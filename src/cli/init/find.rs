@@ -1,4 +1,4 @@
-//! The sources of a home: the given ones, else those that are found, else those that a user names.
+//! A home's sources. Options name them; otherwise `init` searches for them, and asks on a terminal.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -324,7 +324,7 @@ fn find_robot(
     }
 }
 
-/// The robot's map, if a file is to be read.
+/// The file with the robot's map, `mqtt` or `none`.
 fn find_map(
     args: &Args,
     robot: Option<&str>,
