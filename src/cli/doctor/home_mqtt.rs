@@ -353,7 +353,7 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
             "make the devices speak (open the door, switch the lamp); leave out the rules of devices that are gone";
         findings.push(Finding::limited("topics", found, remedy));
     } else {
-        findings.push(all_heard(rules, &topics, place));
+        findings.push(all_heard(rules, path, &topics, place));
     }
     if let Some(counted) = &counted {
         findings.push(never(rules, counted, &fitted, &shown.to_string()));
@@ -373,7 +373,7 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
 }
 
 /// Every rule hears a topic now, or fitted a message before.
-fn all_heard(rules: &Rules, topics: &[(&str, &[u8])], place: &Place<'_>) -> Finding {
+fn all_heard(rules: &Rules, path: &Path, topics: &[(&str, &[u8])], place: &Place<'_>) -> Finding {
     let all = rules.about().count();
     let hears = |number: usize| topics.iter().any(|(topic, _)| rules.fits(number, topic));
     let hearing = rules.about().filter(|rule| hears(rule.number)).count();
@@ -383,7 +383,8 @@ fn all_heard(rules: &Rules, topics: &[(&str, &[u8])], place: &Place<'_>) -> Find
         0 => Finding::limited(
             "topics",
             format!(
-                "nothing was said within {:.0} s under any topic of a rule; every rule fitted a message before",
+                "{}: nothing was said within {:.0} s under any topic of a rule; every rule fitted a message before",
+                path.display(),
                 place.wait.as_secs_f64()
             ),
             "switch something and ask again: a broker that was started again has no state until it changes, unless it keeps retained messages \

@@ -59,11 +59,22 @@ pub(super) fn with_things(
     changed.map_err(|error| input(format!("Home Assistant's things do not fit into the robot's map: {error}")))
 }
 
-/// A place on the floor of a room, for a thing of this size.
 pub(super) fn inside(map: &SemanticMap, room: usize) -> [f64; 3] {
+    const STEPS: i32 = 20;
     let space = &map.rooms()[room].space;
-    let [x, y, _] = space.centre_m().map(|metres| (metres * 1e3).round() / 1e3);
-    [x, y, space.bounds.min_m[2] + 0.5 * THING_M]
+    let (middle, size) = (space.bounds.centre_m(), space.bounds.size_m());
+    let z = space.bounds.min_m[2] + 0.5 * THING_M;
+    let grid = (-STEPS..=STEPS).flat_map(|right| (-STEPS..=STEPS).map(move |down| (right, down)));
+    let mut places: Vec<_> = grid.collect();
+    places.sort_by_key(|(right, down)| right * right + down * down);
+    let point = |(right, down): (i32, i32)| {
+        let part = |steps: i32, metres: f64| f64::from(steps) / f64::from(2 * STEPS) * metres;
+        let tidy = |metres: f64| (metres * 1e3).round() / 1e3;
+        [tidy(middle[0] + part(right, size[0])), tidy(middle[1] + part(down, size[1])), z]
+    };
+    let near = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]].map(|way| way.map(|step: f64| step * THING_M));
+    let is_inside = |at: &[f64; 3]| near.iter().all(|[x, y]| space.contains(&[at[0] + x, at[1] + y, z]));
+    places.into_iter().map(point).find(is_inside).unwrap_or(middle)
 }
 
 /// The first line of a rule.
