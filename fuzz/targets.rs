@@ -80,7 +80,7 @@ pub fn valetudo(bytes: &[u8]) {
     let again =
         SemanticMap::from_json(&imported.map.to_json()).expect("a map that was imported can be written and read");
     assert_eq!(imported.map.fingerprint(), again.fingerprint());
-    assert!(imported.furnished().is_ok());
+    assert!(imported.furnish(import::Furnish::Typical).is_ok());
 }
 
 /// Registries of a home, separated by zeros: if accepted, they become a scene that can be furnished, and valid rules.
@@ -95,7 +95,7 @@ pub fn home(bytes: &[u8]) {
     if let Some(rules) = home.rules {
         Rules::parse(&rules).expect("rules that were written can be read");
     }
-    assert!(home.imported.furnished().is_ok());
+    assert!(home.imported.furnish(import::Furnish::Typical).is_ok());
 }
 
 /// Any bytes on a connection to the HTTP server get at most one answer, with the length in its header; nothing larger than the limit is passed on.

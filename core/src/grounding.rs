@@ -175,20 +175,20 @@ pub struct ScoredLabel {
     pub count: f64,
 }
 
-/// How an item's partition was found; the rules are numbered in the [module's documentation](self).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Placement {
-    /// Rule 1: the largest overlap.
-    Overlap,
-    /// Rule 2: the last of several with the largest overlap.
-    Tie,
-    /// Rule 3: the item's position.
-    Position,
-    /// Rule 4: the nearest part of its room.
-    NearestPart,
-    /// Rule 5: no partition.
-    Outside,
+crate::choices! {
+    /// How an item's partition was found; the rules are numbered in the [module's documentation](self).
+    pub enum Placement {
+        /// Rule 1: the largest overlap.
+        Overlap,
+        /// Rule 2: the last of several with the largest overlap.
+        Tie,
+        /// Rule 3: the item's position.
+        Position,
+        /// Rule 4: the nearest part of its room.
+        NearestPart,
+        /// Rule 5: no partition.
+        Outside,
+    }
 }
 
 /// The reason why an item is in no partition.

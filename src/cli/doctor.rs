@@ -13,10 +13,12 @@ mod finding;
 mod home;
 #[cfg(feature = "mqtt")]
 mod home_mqtt;
+#[cfg(feature = "mqtt")]
+mod remarks;
 
 use finding::{Finding, Place, Verdict};
 #[cfg(feature = "mqtt")]
-pub(super) use home_mqtt::{no_person, no_resident, not_quite_a_form, remark};
+pub(super) use remarks::Remarks;
 
 use super::scene::is_missing;
 use super::{CommandResult, Failure, ranges, service};

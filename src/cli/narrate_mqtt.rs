@@ -12,6 +12,7 @@ use roomcast_services::narrator::{Input, Who};
 use roomcast_services::setup;
 use roomcast_services::stop::Stop;
 
+use super::doctor::Remarks;
 use super::{CommandResult, Failure, broker, count, print};
 use crate::exit_code;
 
@@ -54,18 +55,11 @@ pub(super) fn rehearse(broker: &Broker, rules: &Path, config: &Config, stop: &St
     let grounding = map.as_ref().map(|map| Grounding::new(map, &config.grounding)).transpose();
     let grounding = grounding.map_err(|error| Failure::new(exit_code::CONFIG, error))?;
     let home = map.as_ref().zip(grounding.as_ref());
-    let mut home = home.map(|(map, grounding)| (map, PlaceMatcher::new(map, grounding)));
+    let home = home.map(|(map, grounding)| (map, PlaceMatcher::new(map, grounding)));
     let names = config.daemon.state_directory().map_or_else(PersonsFile::default, |state| PersonsFile::load(&state));
     let persons = Persons::new(config.persons.clone(), names);
-    let mut remark = |line: &str| {
-        let nobody = super::doctor::no_person(line, &persons);
-        let nobody = nobody.or_else(|| super::doctor::no_resident(line, &persons, &config.persons.residents));
-        let map = home.as_ref().map(|(map, _)| *map);
-        let near = super::doctor::not_quite_a_form(line, &persons, map);
-        let lacking = home.as_mut().and_then(|(map, mentions)| super::doctor::remark(line, map, mentions));
-        let all: Vec<String> = [nobody, near, lacking].into_iter().flatten().collect();
-        (!all.is_empty()).then(|| all.join("; "))
-    };
+    let mut remarks = Remarks { persons, residents: &config.persons.residents, home };
+    let mut remark = |line: &str| remarks.on(line);
     let heard = mqtt::rehearse(options, rules, std::io::stdout(), stop, &mut remark).map_err(broker::failure)?;
     let Heard { said, unfit, silent, unsayable, oversized } = heard;
     let summary = format!(

@@ -5,15 +5,16 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
-use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
+use comfy_table::CellAlignment;
 use roomcast_ipc::question;
 use serde_json::{Value, json};
+use strum::VariantArray;
 
 use super::choice::choice;
 #[cfg(feature = "simulation")]
 use super::draw;
 use super::scene_files::{in_file, input, load, read, write};
-use super::{CommandResult, Failure, count, print, ranges, scene_import, service};
+use super::{CommandResult, Failure, count, print, ranges, scene_import, service, table};
 use crate::columns::prose;
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
@@ -149,39 +150,30 @@ fn apply(args: &Apply) -> CommandResult {
     if args.json {
         super::print_json(&answer)?;
     }
-    let MapAnswer {
-        outcome,
-        reason,
-        map,
-        rooms,
-        items,
-        outside,
-        new_labels,
-        prepared_again,
-        regrouped_in_ns,
-        kept,
-        ..
-    } = &answer;
-    if *outcome != Outcome::Applied {
-        let reason = reason.as_deref().unwrap_or("no reason given");
+    if answer.outcome != Outcome::Applied {
+        let reason = answer.reason.as_deref().unwrap_or("no reason given");
         return Err(input(format!("the daemon did not change its map: {reason}")));
     }
     if args.json {
         return Ok(());
     }
-    let model = match new_labels {
-        0 if *prepared_again => "the model was prepared for fewer labels".to_owned(),
+    let model = match answer.new_labels {
+        0 if answer.prepared_again => "the model was prepared for fewer labels".to_owned(),
         0 => "the model was not touched".to_owned(),
-        labels => format!("the model was prepared for {}", count(*labels, "new label")),
+        labels => format!("the model was prepared for {}", count(labels, "new label")),
     };
-    let after_restart =
-        if *kept { "" } else { "; a restarted daemon begins with its scene file again (daemon.state keeps changes)" };
+    let after_restart = if answer.kept {
+        ""
+    } else {
+        "; a restarted daemon begins with its scene file again (daemon.state keeps changes)"
+    };
     print(&format!(
-        "map {}: {}, {}, {outside} outside; regrouped in {:.2} ms, {model}{after_restart}\n",
-        &map[..map.len().min(16)],
-        count(*rooms, "room"),
-        count(*items, "item"),
-        *regrouped_in_ns as f64 / 1e6,
+        "map {}: {}, {}, {} outside; regrouped in {:.2} ms, {model}{after_restart}\n",
+        &answer.map[..answer.map.len().min(16)],
+        count(answer.rooms, "room"),
+        count(answer.items, "item"),
+        answer.outside,
+        answer.regrouped_in_ns as f64 / 1e6,
     ))
 }
 
@@ -353,19 +345,6 @@ pub(super) fn is_missing(scene: &Path) -> bool {
     matches!(setup::load_map(Some(scene)), Err(SetupError::NoScene { .. }))
 }
 
-fn placement_name(placement: Placement) -> &'static str {
-    match placement {
-        Placement::Overlap => "overlap",
-        Placement::Tie => "tie",
-        Placement::Position => "position",
-        Placement::NearestPart => "nearest-part",
-        Placement::Outside => "outside",
-    }
-}
-
-const PLACEMENTS: [Placement; 5] =
-    [Placement::Overlap, Placement::Tie, Placement::Position, Placement::NearestPart, Placement::Outside];
-
 fn show(args: &Show) -> CommandResult {
     let (map, grounding) = load(&args.scene, args.level)?;
     print(&if args.json { format!("{:#}\n", as_json(&map, &grounding, args.level)) } else { tables(&map, &grounding) })
@@ -399,7 +378,7 @@ fn as_json(map: &SemanticMap, grounding: &Grounding, level: PartitionLevel) -> V
         })
         .collect();
     let placements: HashMap<&str, usize> =
-        PLACEMENTS.iter().map(|&placement| (placement_name(placement), grounding.placed_by(placement))).collect();
+        Placement::VARIANTS.iter().map(|placement| (placement.into(), grounding.placed_by(*placement))).collect();
     let labels: Vec<Value> = (grounding.scored_labels().iter())
         .map(|label| json!({"label": label.text, "items": label.items.len(), "rooms": label.rooms.len()}))
         .collect();
@@ -410,18 +389,6 @@ fn as_json(map: &SemanticMap, grounding: &Grounding, level: PartitionLevel) -> V
     })
 }
 
-fn table<const N: usize>(header: [&str; N], numbers: std::ops::Range<usize>) -> Table {
-    let mut table = Table::new();
-    table.load_style(presets::UTF8_FULL_CONDENSED).set_content_arrangement(ContentArrangement::Dynamic);
-    table.set_header(header);
-    for column in numbers {
-        if let Some(column) = table.column_mut(column) {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
-    table
-}
-
 fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
     let mut text = format!("{}  ({})\n", map.name(), map.short_fingerprint());
     for line in [map.description(), map.source()].into_iter().filter(|line| !line.is_empty()) {
@@ -430,7 +397,10 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
     let (items, labels) = (count(map.items().len(), "item"), count(map.labels().len(), "label"));
     let _ = writeln!(text, "{items}, {labels}, {}\n", scene_import::doors(map));
 
-    let mut partitions = table(["partition", "size (m)", "items", "labels", "most frequent"], 1..4);
+    let mut partitions = table(&["partition", "size (m)", "items", "labels", "most frequent"]);
+    for number in partitions.column_iter_mut().skip(1).take(3) {
+        number.set_cell_alignment(CellAlignment::Right);
+    }
     for (index, partition) in (0u32..).zip(grounding.partitions()) {
         let own = Some(PartitionId(index));
         let items = || grounding.item_partition().iter().zip(map.items()).filter(move |(id, _)| **id == own);
@@ -453,16 +423,16 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
     }
     let _ = writeln!(text, "{partitions}\n");
 
-    let mut rules = table(["how items were placed", "items"], 1..2);
-    let meaning = |placement| match placement {
+    let mut rules = table(&["how items were placed", "items"]);
+    let meaning = |placement: &Placement| match placement {
         Placement::Overlap => "largest overlap of volume",
         Placement::Tie => "several equal overlaps: the last of them in the file",
         Placement::Position => "no overlap: by its position",
         Placement::NearestPart => "in no part of its room: the nearest part",
         Placement::Outside => "outside: assigned nowhere, still counted with its label",
     };
-    for placement in PLACEMENTS {
-        let count = grounding.placed_by(placement);
+    for placement in Placement::VARIANTS {
+        let count = grounding.placed_by(*placement);
         if count > 0 {
             rules.add_row([meaning(placement).to_owned(), count.to_string()]);
         }
@@ -470,13 +440,13 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
     let _ = writeln!(text, "{rules}");
 
     const ROWS: usize = 20;
-    for placement in [Placement::Tie, Placement::Position, Placement::NearestPart, Placement::Outside] {
+    for placement in &Placement::VARIANTS[1..] {
         let chosen: Vec<usize> =
-            (0..map.items().len()).filter(|&index| grounding.item_placement()[index] == placement).collect();
+            (0..map.items().len()).filter(|&index| grounding.item_placement()[index] == *placement).collect();
         if chosen.is_empty() {
             continue;
         }
-        let mut rows = table([placement_name(placement), "label", "went to"], 0..0);
+        let mut rows = table(&[placement.into(), "label", "went to"]);
         for &index in chosen.iter().take(ROWS) {
             let item = &map.items()[index];
             let went = grounding.item_partition()[index]
@@ -587,7 +557,12 @@ mod tests {
         ];
         let areas = json!({"data": {"areas": names.map(area)}}).to_string();
         let registries = Registries { areas: &areas, ..Default::default() };
-        let map = import::home_assistant(&registries, "home").unwrap().imported.furnished().unwrap().map;
+        let map = import::home_assistant(&registries, "home")
+            .unwrap()
+            .imported
+            .furnish(import::Furnish::Typical)
+            .unwrap()
+            .map;
         assert_eq!(odd_aliases(&map), [""; 0], "{:?}", map.aliases());
         for (place, (id, name)) in (0..).zip(names) {
             assert_eq!([map.find_room(id), map.find_room(name)], [Some(RoomId(place)); 2], "{name}");

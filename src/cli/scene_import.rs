@@ -13,7 +13,7 @@ use super::scene_files::{in_file, in_map, input, read, segment_names, write};
 use super::{CommandResult, Failure, count, print};
 use crate::exit_code;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_core::semantic_map::import::{self, Home, ImportError, Imported, Registries, Up};
+use roomcast_core::semantic_map::import::{self, Furnish, Home, Imported, Registries, Up};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Format {
@@ -25,23 +25,6 @@ enum Format {
     Valetudo,
     /// A Home Assistant, by its configuration folder or its address: areas become rooms, entities things; a rules file comes with the map.
     HomeAssistant,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub(super) enum Furnish {
-    /// The usual furniture of their kind in rooms without things. Structural things, such as walls and windows, do not count.
-    Typical,
-    /// The same, and the missing pieces in rooms with only one or two kinds of things.
-    Sparse,
-}
-
-impl Furnish {
-    pub(super) fn furnish(self, imported: Imported) -> Result<Imported, ImportError> {
-        match self {
-            Self::Typical => imported.furnished(),
-            Self::Sparse => imported.furnished_where_sparse(),
-        }
-    }
 }
 
 #[derive(Debug, clap::Args)]
@@ -86,7 +69,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE", requires = "token_file")]
     ca: Option<PathBuf>,
     /// Put the usual furniture of their kind into rooms; ids of such things begin with "assumed".
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = choice::<Furnish>())]
     furnish: Option<Furnish>,
 }
 
@@ -149,17 +132,8 @@ impl Format {
     }
 }
 
-/// A map, and the rules that came with it.
-struct Source {
-    imported: Imported,
-    rules: Option<(PathBuf, String)>,
-}
-
-impl From<Imported> for Source {
-    fn from(imported: Imported) -> Self {
-        Self { imported, rules: None }
-    }
-}
+/// A map, and the rules that came with it, with their file.
+type Source = (Imported, Option<(PathBuf, String)>);
 
 impl Args {
     fn only(&self, what: &str) -> Result<&Path, Failure> {
@@ -173,11 +147,11 @@ impl Args {
         let stem = self.graph[0].file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let name = self.name.clone().or(stem).unwrap_or_else(|| "imported".to_owned());
         let in_first = |error| in_file("map", &self.graph[0], &error);
-        Ok(match format {
+        let imported = match format {
             Format::Virtualhome => {
                 let graph = self.only("a VirtualHome graph is one file")?;
                 let equivalence = self.equivalence.as_deref().map(|path| read("table of names", path)).transpose()?;
-                import::virtualhome(&read("map", graph)?, &name, equivalence.as_deref()).map_err(in_first)?.into()
+                import::virtualhome(&read("map", graph)?, &name, equivalence.as_deref()).map_err(in_first)?
             }
             Format::OpenVocabulary => {
                 let mut texts = Vec::new();
@@ -186,17 +160,17 @@ impl Args {
                 }
                 let json = import::combine(texts.iter().map(String::as_str)).map_err(in_first)?;
                 let imported = import::open_vocabulary(&json, &name, self.up).map_err(in_first)?;
-                if self.keep_spellings { imported } else { imported.merge_spellings().map_err(in_first)? }.into()
+                if self.keep_spellings { imported } else { imported.merge_spellings().map_err(in_first)? }
             }
             Format::Valetudo => {
                 let graph = self.only("a Valetudo map is one file")?;
                 let names = self.names.as_deref().map(segment_names).transpose()?.unwrap_or_else(HashMap::new);
                 import::valetudo(&read("map", graph)?, &name, &names)
                     .map_err(|error| in_map(graph, self.names.as_deref(), &error))?
-                    .into()
             }
-            Format::HomeAssistant => self.home()?,
-        })
+            Format::HomeAssistant => return self.home(),
+        };
+        Ok((imported, None))
     }
 
     fn home(&self) -> Result<Source, Failure> {
@@ -208,7 +182,7 @@ impl Args {
         let Home { imported, rules, .. } =
             home_assistant(folder, name, HomeOptions { token_file, authority, registries })?;
         let path = || self.rules.clone().unwrap_or_else(|| self.out.with_extension("rules.toml"));
-        Ok(Source { imported, rules: rules.map(|text| (path(), text)) })
+        Ok((imported, rules.map(|text| (path(), text))))
     }
 }
 
@@ -218,9 +192,9 @@ pub fn run(args: &Args) -> CommandResult {
         None => Format::detect(&args.graph[0], args.graph.len() == 1)?,
     };
     args.refuse_without_effect(format)?;
-    let Source { imported, rules } = args.source(format)?;
+    let (imported, rules) = args.source(format)?;
     let imported = match args.furnish {
-        Some(furnish) => furnish.furnish(imported).map_err(|error| in_file("map", &args.graph[0], &error))?,
+        Some(furnish) => imported.furnish(furnish).map_err(|error| in_file("map", &args.graph[0], &error))?,
         None => imported,
     };
     let Imported { map, notes, boxed } = imported;

@@ -149,7 +149,7 @@ fn maps() -> Vec<SemanticMap> {
 fn a_robots_map_with_usual_furniture_forecasts_sensibly() {
     let own = include_str!("../data/valetudo.json")
         .replace("{\"segmentId\":\"3\"", "{\"segmentId\":\"3\",\"name\":\"Wohnzimmer\"");
-    let map = import::valetudo(&own, "robot", &HashMap::new()).unwrap().furnished().unwrap().map;
+    let map = import::valetudo(&own, "robot", &HashMap::new()).unwrap().furnish(import::Furnish::Typical).unwrap().map;
     let mut likeliest = likeliest_rooms(&map, Correction::default());
     for (said, expected) in [("They open the fridge.", "kitchen"), ("They sit down on the sofa.", "living room")] {
         assert_eq!(likeliest(said), expected, "{said}");

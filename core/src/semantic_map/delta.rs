@@ -7,10 +7,10 @@ use std::collections::HashMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::schema::{DoorEntry, ItemEntry, RoomEntry, SceneFile, VERSION, element_of, place};
-use super::{Box3, Item, SceneError, SemanticMap};
-use crate::parsing::{Keyed, json_says};
-use crate::text::{excerpt, without_mark};
+use super::schema::{DoorEntry, ItemEntry, RoomEntry, SceneFile, VERSION, parse_json};
+use super::{Box3, SceneError, SemanticMap, room_of};
+use crate::parsing::Keyed;
+use crate::text::excerpt;
 
 /// One change. In JSON the key `change` names it: `{"change": "move-item", "id": "mug-1", "position_m": [..], "box": {..}}`.
 ///
@@ -21,7 +21,7 @@ pub enum MapChange {
     /// A new item: `item` is an entry of the scene file's `items`.
     AddItem {
         /// The entry.
-        item: NewItem,
+        item: ItemEntry,
     },
     /// Moves an item.
     MoveItem {
@@ -40,10 +40,10 @@ pub enum MapChange {
     /// Adds a room with its doors: entries of the scene file's `rooms` and `doors`.
     AddRoom {
         /// Entry of the room.
-        room: NewRoom,
+        room: RoomEntry,
         /// Entries of the doors.
         #[serde(default)]
-        doors: Vec<NewDoor>,
+        doors: Vec<DoorEntry>,
     },
     /// Removes a room with its items, doors, parts and aliases.
     RemoveRoom {
@@ -52,36 +52,13 @@ pub enum MapChange {
     },
 }
 
-/// An entry of a scene file's `items`, checked when it is applied.
-#[derive(Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct NewItem(ItemEntry);
-
-/// An entry of a scene file's `rooms`, checked when it is applied.
-#[derive(Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct NewRoom(RoomEntry);
-
-/// An entry of a scene file's `doors`, checked when it is applied.
-#[derive(Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct NewDoor(DoorEntry);
-
 /// Why changes cannot be applied.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DeltaError {
-    /// The text is not a list of changes.
-    #[error(
-        "{}{message}; expected a JSON list of changes such as {{\"change\": \"remove-item\", \"id\": \"mug-1\"}}",
-        place(.element)
-    )]
-    Json {
-        /// Path to the element, such as `[3].item.box`; `.` for the whole text.
-        element: String,
-        /// The parser's message.
-        message: String,
-    },
+    /// The text is not a list of changes. The message names the element and the line.
+    #[error("{0}; expected a JSON list of changes such as {{\"change\": \"remove-item\", \"id\": \"mug-1\"}}")]
+    Json(String),
     /// There is no item with this id.
     #[error("changes[{index}]: there is no item {:?}; name one that `roomcast scene show --json` lists", excerpt(.id))]
     NoSuchItem {
@@ -110,11 +87,7 @@ pub enum DeltaError {
 /// # Errors
 /// [`DeltaError::Json`].
 pub fn parse_changes(json: &str) -> Result<Vec<MapChange>, DeltaError> {
-    let fail = |element, error: &serde_json::Error| DeltaError::Json { element, message: json_says(error) };
-    let mut parser = serde_json::Deserializer::from_str(without_mark(json));
-    let changes: Vec<Keyed<MapChange>> =
-        serde_path_to_error::deserialize(&mut parser).map_err(|error| fail(element_of(error.path()), error.inner()))?;
-    parser.end().map_err(|error| fail("end".to_owned(), &error))?;
+    let changes: Vec<Keyed<MapChange>> = parse_json(json).map_err(DeltaError::Json)?;
     Ok(changes.into_iter().map(|change| change.0).collect())
 }
 
@@ -131,22 +104,22 @@ impl SemanticMap {
         for (index, change) in changes.into_iter().enumerate() {
             let no_item = |id: String| DeltaError::NoSuchItem { index, id };
             match change {
-                MapChange::AddItem { item: NewItem(item) } => items.add(item),
+                MapChange::AddItem { item } => items.add(item),
                 MapChange::MoveItem { id, position_m, r#box } => {
-                    let Some(item) = items.get(&id) else { return Err(no_item(id)) };
+                    let Some(item) = items.slot(&id).and_then(Option::as_mut) else { return Err(no_item(id)) };
                     item.position_m = position_m;
                     item.r#box = r#box;
                 }
                 MapChange::RemoveItem { id } => {
-                    items.remove(&id).ok_or_else(|| no_item(id))?;
+                    items.slot(&id).and_then(Option::take).ok_or_else(|| no_item(id))?;
                 }
-                MapChange::AddRoom { room: NewRoom(room), doors } => {
+                MapChange::AddRoom { room, doors } => {
                     if !doors.is_empty() && file.doors.is_empty() {
                         // An explicit door must not remove the found ones.
                         file.doors = self.door_entries();
                     }
                     file.rooms.push(room);
-                    file.doors.extend(doors.into_iter().map(|NewDoor(door)| door));
+                    file.doors.extend(doors);
                 }
                 MapChange::RemoveRoom { id } => {
                     if !file.rooms.iter().any(|room| room.id == id) {
@@ -169,20 +142,9 @@ impl SemanticMap {
         let mut file = self.to_file();
         file.version = VERSION;
         let Some(gone) = self.rooms.iter().position(|room| room.id == id) else { return file };
-        let room_of = |item: &Item| {
-            // As in grounding, the last of equal overlaps counts.
-            const SAME: f64 = 1e-9;
-            let mut most: Option<(usize, f64)> = None;
-            for (room, own) in self.rooms.iter().enumerate() {
-                let shared_m3 = own.space.overlap_m3(&item.bounds);
-                if shared_m3 > 0.0 && most.is_none_or(|(_, most_m3)| shared_m3 >= most_m3 * (1.0 - SAME)) {
-                    most = Some((room, shared_m3));
-                }
-            }
-            let holds = || self.rooms.iter().rposition(|room| room.space.contains(&item.position_m));
-            most.map(|(room, _)| room).or_else(holds)
-        };
-        let mut is_kept = self.items.iter().map(|item| room_of(item) != Some(gone));
+        // Grounding has looked at all edges already.
+        let mut left = usize::MAX;
+        let mut is_kept = self.items.iter().map(|item| room_of(&self.rooms, item, &mut left) != Some(gone));
         file.items.retain(|_| is_kept.next().unwrap_or(true));
         file.rooms.retain(|room| room.id != id);
         file.doors.retain(|door| door.rooms.iter().all(|room| room != id));
@@ -216,14 +178,9 @@ impl Items {
         self.list.push(Some(item));
     }
 
-    fn get(&mut self, id: &str) -> Option<&mut ItemEntry> {
-        let place = self.place_of.get(id).copied()?;
-        self.list[place].as_mut()
-    }
-
-    fn remove(&mut self, id: &str) -> Option<ItemEntry> {
-        let place = self.place_of.remove(id)?;
-        self.list[place].take()
+    /// The item's place in the list; empty after its removal.
+    fn slot(&mut self, id: &str) -> Option<&mut Option<ItemEntry>> {
+        self.list.get_mut(*self.place_of.get(id)?)
     }
 
     fn into_list(self) -> Vec<ItemEntry> {

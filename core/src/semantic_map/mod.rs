@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use crate::names::{Names, plain_words};
 
+mod checks;
 pub mod delta;
 mod doors;
 pub(crate) mod footprint;
@@ -75,6 +76,15 @@ impl Box3 {
         volume_m3
     }
 
+    /// The smallest box around both.
+    #[must_use]
+    pub(crate) fn with(self, other: Self) -> Self {
+        Self {
+            min_m: std::array::from_fn(|axis| self.min_m[axis].min(other.min_m[axis])),
+            max_m: std::array::from_fn(|axis| self.max_m[axis].max(other.max_m[axis])),
+        }
+    }
+
     /// Whether the point is in the box or on a face.
     #[must_use]
     pub fn contains(&self, point_m: &[f64; 3]) -> bool {
@@ -122,6 +132,30 @@ pub struct Room {
     pub label: String,
     /// The room's extent.
     pub space: Space,
+}
+
+/// The room of an item by the rules of grounding: the one with the largest overlap, else one that contains its position; of equal ones the last.
+/// The boxes around footprints decide as soon as footprints have more edges than are `left` to look at.
+pub(crate) fn room_of(rooms: &[Room], item: &Item, left: &mut usize) -> Option<usize> {
+    const TIE: f64 = 1e-9;
+    let mut is_exact = |edges: usize| {
+        let rest = left.checked_sub(edges);
+        *left = rest.unwrap_or(0);
+        rest.is_some()
+    };
+    let mut most: Option<(usize, f64)> = None;
+    for (room, Room { space, .. }) in rooms.iter().enumerate() {
+        let exact = is_exact(space.edges_met(&item.bounds));
+        let shared_m3 = if exact { space.overlap_m3(&item.bounds) } else { space.bounds.overlap_m3(&item.bounds) };
+        if shared_m3 > 0.0 && most.is_none_or(|(_, most_m3)| shared_m3 >= most_m3 * (1.0 - TIE)) {
+            most = Some((room, shared_m3));
+        }
+    }
+    let holds = |Room { space, .. }: &Room| {
+        let exact = is_exact(space.edges_at(&item.position_m));
+        if exact { space.contains(&item.position_m) } else { space.bounds.contains(&item.position_m) }
+    };
+    most.map(|(room, _)| room).or_else(|| rooms.iter().rposition(holds))
 }
 
 /// A part of one room.
@@ -347,14 +381,6 @@ impl SemanticMap {
             .map(|(index, _)| RoomId(index))
     }
 
-    /// The rooms next to `room` through one door, in the doors' order.
-    pub fn neighbours(&self, room: RoomId) -> impl Iterator<Item = RoomId> {
-        self.doors.iter().filter_map(move |door| match door.rooms {
-            [here, there] | [there, here] if here == room => Some(there),
-            _ => None,
-        })
-    }
-
     /// The rooms on a shortest way through doors, both ends included. `None` if there is no way.
     #[must_use]
     pub fn path(&self, from: RoomId, to: RoomId) -> Option<Vec<RoomId>> {
@@ -371,7 +397,11 @@ impl SemanticMap {
                 path.reverse();
                 return Some(path);
             }
-            for next in self.neighbours(room) {
+            let neighbours = self.doors.iter().filter_map(|door| match door.rooms {
+                [here, there] | [there, here] if here == room => Some(there),
+                _ => None,
+            });
+            for next in neighbours {
                 reached_from.entry(next).or_insert_with(|| {
                     waiting.push_back(next);
                     room

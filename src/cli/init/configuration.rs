@@ -4,7 +4,8 @@ use std::path::Path;
 use roomcast_core::narration::{ReadName, check_name};
 use roomcast_core::semantic_map::SemanticMap;
 
-use super::{Found, RULES_FILE, SCENE_FILE, STATE_FOLDER, is_of_home_assistant};
+use super::find::{Found, is_of_home_assistant};
+use super::{RULES_FILE, SCENE_FILE, STATE_FOLDER};
 
 /// The robot's name from its topic at the broker, unless a resident has it.
 pub(super) fn name_of_robot(robot: &str, residents: &[String]) -> Option<String> {

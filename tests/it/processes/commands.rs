@@ -469,7 +469,7 @@ fn maps_that_are_odd_are_told_of() {
     let said = String::from_utf8(output.stdout).unwrap();
     assert!(said.contains("doors[0] (") && said.contains("m from \"kitchen\""), "{said}");
     assert!(said.contains("items[0] (\"mug-1\"): position_m lies"), "{said}");
-    assert!(said.contains("half.json: ends too early, in line"), "{said}");
+    assert!(said.contains("the text ends too early, in line"), "{said}");
 
     let polygon =
         r#"{"rooms": [{"name": "studio", "vertices": [[0, 0], [4, 0], [4, 3], [2, 4], [0, 3]]}], "objects": []}"#;

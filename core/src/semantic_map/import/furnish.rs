@@ -7,7 +7,7 @@ use super::valetudo::CHARGER;
 use super::{Ids, ImportError, Imported};
 use crate::names::Names;
 use crate::semantic_map::schema::{ItemEntry, MAX_PROSE_BYTES};
-use crate::semantic_map::{Box3, Item, Room, SemanticMap};
+use crate::semantic_map::{Box3, Room, SemanticMap, room_of};
 
 /// Label, width, depth, height, and how far above the floor, in metres.
 type Piece = (String, f64, f64, f64, f64);
@@ -19,6 +19,18 @@ static USUAL: LazyLock<BTreeMap<String, Vec<Piece>>> = LazyLock::new(|| {
 
 /// The kind of a room that no table knows.
 const ANY: &str = "room";
+crate::choices! {
+    /// Which rooms get the usual furniture.
+    #[derive(Default)]
+    pub enum Furnish {
+        /// The usual furniture of their kind in rooms without things. Structural things, such as walls and windows, do not count.
+        #[default]
+        Typical,
+        /// The same, and the missing pieces in rooms with only one or two kinds of things.
+        Sparse,
+    }
+}
+
 /// What ids of assumed things begin with.
 const ASSUMED: &str = "assumed";
 /// What a map says of them.
@@ -52,32 +64,6 @@ fn usual(label: &str) -> &'static [Piece] {
 /// Whether the usual furniture of a room, by its label, has a thing.
 pub(super) fn usually_has(room: &str, thing: &str) -> bool {
     usual(room).iter().any(|(label, ..)| label == thing)
-}
-
-/// The room that an item stands in: the one that it shares most with, else one that holds its position.
-fn holder(rooms: &[Room], item: &Item, left: &mut usize) -> Option<usize> {
-    // Whether the room's footprint is looked at, beyond the box around it.
-    let mut is_exact = |edges: usize| {
-        let rest = left.checked_sub(edges);
-        *left = rest.unwrap_or(0);
-        rest.is_some()
-    };
-    let shared = rooms.iter().map(|Room { space, .. }| {
-        if is_exact(space.edges_met(&item.bounds)) {
-            space.overlap_m3(&item.bounds)
-        } else {
-            space.bounds.overlap_m3(&item.bounds)
-        }
-    });
-    let most = shared.enumerate().filter(|(_, shared_m3)| *shared_m3 > 0.0).max_by(|a, b| a.1.total_cmp(&b.1));
-    let holds = |Room { space, .. }: &Room| {
-        if is_exact(space.edges_at(&item.position_m)) {
-            space.contains(&item.position_m)
-        } else {
-            space.bounds.contains(&item.position_m)
-        }
-    };
-    most.map(|(room, _)| room).or_else(|| rooms.iter().rposition(holds))
 }
 
 /// Puts pieces into one room.
@@ -164,99 +150,61 @@ impl Furnisher<'_> {
     }
 }
 
-/// The things of one room that count as furniture, of a map.
-struct Standing<'a> {
-    /// The kinds of things, each once.
-    kinds: BTreeSet<&'a str>,
-    things: Vec<(&'a str, Box3)>,
-}
-
-impl<'a> Standing<'a> {
-    /// Of each room, in their order.
-    fn of(map: &'a SemanticMap) -> Vec<Self> {
-        let mut rooms: Vec<Self> =
-            map.rooms.iter().map(|_| Self { kinds: BTreeSet::new(), things: Vec::new() }).collect();
-        let mut left = MOST_LOOKS_FOR_ROOMS;
-        for item in &map.items {
-            let label = map.labels[item.label.0 as usize].as_str();
-            if BARE.contains(&label) {
-                continue;
-            }
-            if let Some(room) = holder(&map.rooms, item, &mut left) {
-                rooms[room].kinds.insert(label);
-                rooms[room].things.push((label, item.bounds));
-            }
+/// The things of each room that count as furniture, with their labels.
+fn standing(map: &SemanticMap) -> Vec<Vec<(&str, Box3)>> {
+    let mut rooms = vec![Vec::new(); map.rooms.len()];
+    let mut left = MOST_LOOKS_FOR_ROOMS;
+    for item in &map.items {
+        let label = map.labels[item.label.0 as usize].as_str();
+        if BARE.contains(&label) {
+            continue;
         }
-        rooms
+        if let Some(room) = room_of(&map.rooms, item, &mut left) {
+            rooms[room].push((label, item.bounds));
+        }
     }
-
-    fn is_bare(&self) -> bool {
-        self.kinds.is_empty()
-    }
-
-    /// Whether these things are too few to tell the room from the others.
-    fn is_sparse(&self, usual: &[Piece]) -> bool {
-        !self.is_bare() && self.kinds.len() < ENOUGH_KINDS.min(usual.len())
-    }
+    rooms
 }
 
 impl Imported {
-    /// Puts the usual furniture of their kind into rooms in which nothing stands. Ids of these things begin with "assumed".
+    /// Puts the usual furniture of their kind into rooms. Ids of these things begin with "assumed".
     ///
     /// # Errors
-    /// When the map becomes too large.
-    pub fn furnished(self) -> Result<Self, ImportError> {
-        self.furnish(false)
-    }
-
-    /// As [`Imported::furnished`]. Rooms with one or two kinds of things alone, such as a lamp, get the
-    /// pieces of the usual furniture of their kind that they lack.
-    ///
-    /// # Errors
-    /// When the map becomes too large.
-    pub fn furnished_where_sparse(self) -> Result<Self, ImportError> {
-        self.furnish(true)
-    }
-
-    fn furnish(self, also_sparse: bool) -> Result<Self, ImportError> {
+    /// If the map becomes too large.
+    pub fn furnish(self, which: Furnish) -> Result<Self, ImportError> {
         let Self { map, mut notes, boxed } = self;
         let mut file = map.to_file();
         let mut ids = Ids::default();
         ids.taken.extend(file.items.iter().map(|item| item.id.clone()));
         let before = file.items.len();
         let (mut bare, mut filled, mut sparse, mut unknown) = (0, 0, Vec::new(), Vec::new());
-        for (index, (room, standing)) in map.rooms.iter().zip(Standing::of(&map)).enumerate() {
+        for (index, (room, standing)) in map.rooms.iter().zip(standing(&map)).enumerate() {
             let pieces = usual(&room.label);
-            match (standing.is_bare(), standing.is_sparse(pieces)) {
-                (true, _) => bare += 1,
-                (false, true) if also_sparse => filled += 1,
-                (false, true) => {
+            let kinds = standing.iter().map(|(label, _)| label).collect::<BTreeSet<_>>().len();
+            match which {
+                _ if kinds == 0 => bare += 1,
+                _ if kinds >= ENOUGH_KINDS.min(pieces.len()) => continue,
+                Furnish::Sparse => filled += 1,
+                Furnish::Typical => {
                     sparse.push(map.room_name(index));
                     continue;
                 }
-                (false, false) => continue,
             }
             if pieces.as_ptr() == usual(ANY).as_ptr() && !unknown.contains(&room.label) {
                 unknown.push(room.label.clone());
             }
             let doors = map.doors.iter().filter(|door| door.rooms.iter().any(|joined| joined.0 as usize == index));
             let doors = doors.map(|door| [door.position_m[0], door.position_m[1]]).collect();
-            let taken = standing.things.iter().map(|(_, bounds)| *bounds).collect();
+            let taken = standing.iter().map(|(_, bounds)| *bounds).collect();
             let mut furnisher = Furnisher { room, doors, taken, left: MOST_LOOKS };
             for piece in pieces {
-                if let Some((_, bounds)) = standing.things.iter().find(|(label, _)| *label == piece.0) {
+                if let Some((_, bounds)) = standing.iter().find(|(label, _)| *label == piece.0) {
                     // A thing on a piece of furniture stands on the room's own piece.
                     furnisher.taken.push(*bounds);
                     continue;
                 }
                 let bounds = furnisher.put(piece);
-                file.items.push(ItemEntry {
-                    id: ids.take(&format!("{ASSUMED} {}", piece.0)),
-                    label: piece.0.clone(),
-                    captions: Vec::new(),
-                    position_m: bounds.centre_m(),
-                    r#box: bounds,
-                });
+                file.items.push(ItemEntry::boxed(ids.take(&format!("{ASSUMED} {}", piece.0)), &piece.0, bounds));
             }
         }
         if !sparse.is_empty() {
@@ -287,7 +235,7 @@ impl Imported {
                 unknown.iter().map(|label| format!("\"{label}\"")).collect::<Vec<_>>().join(", ")
             ));
         }
-        Ok(Self { map: SemanticMap::check(file)?, notes, boxed })
+        Self::new(file, notes, boxed)
     }
 }
 
@@ -295,7 +243,7 @@ impl Imported {
 mod tests {
     use super::*;
     use crate::grounding::{Grounding, GroundingOptions};
-    use crate::semantic_map::LabelId;
+    use crate::semantic_map::{Item, LabelId};
 
     #[test]
     fn kinds_of_rooms_are_known_by_many_names() {
@@ -322,7 +270,7 @@ mod tests {
         file["items"] = serde_json::json!([bed]);
         let map = SemanticMap::from_json(&file.to_string()).unwrap();
         let imported = Imported { map, notes: Vec::new(), boxed: Vec::new() };
-        let furnished = imported.furnished().unwrap();
+        let furnished = imported.furnish(Furnish::Typical).unwrap();
         let map = &furnished.map;
         let grounding = Grounding::new(map, &GroundingOptions::default()).unwrap();
         assert!(grounding.unassigned().is_empty(), "{:?}", grounding.unassigned());
@@ -340,7 +288,7 @@ mod tests {
         for (index, item) in large.iter().enumerate() {
             assert!(large[index + 1..].iter().all(|other| item.bounds.overlap_m3(&other.bounds) == 0.0), "{}", item.id);
         }
-        let again = furnished.furnished().unwrap();
+        let again = furnished.furnish(Furnish::Typical).unwrap();
         assert!(again.notes.iter().any(|note| note.contains("Every room has things")));
     }
 
@@ -379,7 +327,7 @@ mod tests {
         assert!(furnisher.left > MOST_LOOKS - 100);
         let item =
             Item { id: "x".to_owned(), label: LabelId(0), captions: Vec::new(), position_m: [0.5; 3], bounds: thing };
-        assert_eq!(holder(&[room], &item, &mut 0), Some(0));
+        assert_eq!(room_of(&[room], &item, &mut 0), Some(0));
     }
 
     /// A home's devices are not all things of a room.
@@ -397,11 +345,11 @@ mod tests {
             file["items"] = labels.iter().map(|label| beside(label)).collect();
             let map = SemanticMap::from_json(&file.to_string()).unwrap();
             let bed = map.items[0].clone();
-            let room = holder(&map.rooms, &bed, &mut { usize::MAX }).unwrap();
+            let room = room_of(&map.rooms, &bed, &mut { usize::MAX }).unwrap();
             let imported = Imported { map, notes: Vec::new(), boxed: Vec::new() };
             let Imported { map, notes, .. } =
-                if sparse { imported.furnished_where_sparse() } else { imported.furnished() }.unwrap();
-            let own = map.items.iter().filter(|item| holder(&map.rooms, item, &mut { usize::MAX }) == Some(room));
+                imported.furnish(if sparse { Furnish::Sparse } else { Furnish::Typical }).unwrap();
+            let own = map.items.iter().filter(|item| room_of(&map.rooms, item, &mut { usize::MAX }) == Some(room));
             let own: Vec<String> = own.map(|item| item.id.clone()).collect();
             (own, notes.join(" "), map)
         };
@@ -418,7 +366,7 @@ mod tests {
         assert_eq!(own[2..], lacking, "a wardrobe is there already");
         assert!(notes.contains("with one or two kinds alone: 1; assumed in them"), "{notes}");
         let once = Imported { map, notes: Vec::new(), boxed: Vec::new() };
-        let again = once.clone().furnished_where_sparse().unwrap();
+        let again = once.clone().furnish(Furnish::Sparse).unwrap();
         assert_eq!(again.map, once.map, "what has furniture is left alone");
         let (own, ..) = furnished(&["ceiling lamp", "wardrobe", "desk"], true);
         assert_eq!(own.len(), 3, "three kinds tell a room: {own:?}");

@@ -8,8 +8,9 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 
 use super::{Ids, ImportError, Imported};
 use crate::names::{Names, plain_words};
-use crate::semantic_map::schema::{FORMAT, ItemEntry, RoomEntry, SceneFile, VERSION, check_count, check_id};
-use crate::semantic_map::{Box3, MAX_ROOMS, MAX_TEXT_BYTES, SemanticMap};
+use crate::semantic_map::checks::{check_count, check_id};
+use crate::semantic_map::schema::{ItemEntry, RoomEntry, SceneFile};
+use crate::semantic_map::{Box3, MAX_ROOMS, MAX_TEXT_BYTES};
 use crate::text::is_hidden;
 
 mod plan;
@@ -131,18 +132,11 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
     ));
 
     let file = SceneFile {
-        format: FORMAT.to_owned(),
-        version: VERSION,
-        name: name.to_owned(),
         description: "Rooms are boxes of one size side by side, and things stand in rows in them: nothing is measured."
             .to_owned(),
-        source: "Home Assistant registries, imported".to_owned(),
-        rooms: plan.rooms,
-        parts: Vec::new(),
-        groups: Vec::new(),
         doors: plan.doors,
         aliases: plan.aliases,
-        items,
+        ..SceneFile::new(name, "Home Assistant registries, imported", plan.rooms, items)
     };
     let rooms: HashSet<&str> = areas.iter().map(|area| &*area.id).collect();
     let mut segments: BTreeMap<String, BTreeMap<String, String>> = BTreeMap::new();
@@ -152,7 +146,7 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
         }
     }
     let persons = people.into_iter().map(|(_, name)| name).collect();
-    let imported = Imported { map: SemanticMap::check(file)?, notes, boxed: Vec::new() };
+    let imported = Imported::new(file, notes, Vec::new())?;
     Ok(Home { imported, rules: rules.into_text(), persons, segments })
 }
 
@@ -287,13 +281,7 @@ fn items(sensors: &[Placed<'_>], rooms: &[RoomEntry]) -> Vec<ItemEntry> {
             bounds.min_m[2],
         ];
         let own = Box3 { min_m, max_m: min_m.map(|metres| metres + THING_M) };
-        items.push(ItemEntry {
-            id: ids.take(label),
-            label: label.to_owned(),
-            captions: Vec::new(),
-            position_m: own.centre_m(),
-            r#box: own,
-        });
+        items.push(ItemEntry::boxed(ids.take(label), label, own));
     }
     items
 }

@@ -5,11 +5,11 @@
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 
-use super::schema::{self, MAX_ALIASES, RoomEntry, SceneError, element_of};
+use super::checks::check_label;
+use super::schema::{MAX_ALIASES, RoomEntry, SceneError, SceneFile, parse_json};
 use super::{MAX_TEXT_BYTES, SemanticMap};
 use crate::names::{Names, plain_words};
-use crate::parsing::json_says;
-use crate::text::{excerpt, is_hidden, without_mark};
+use crate::text::{excerpt, is_hidden};
 
 mod furnish;
 mod home_assistant;
@@ -18,6 +18,7 @@ mod spelling;
 mod valetudo;
 mod virtualhome;
 
+pub use furnish::Furnish;
 pub use home_assistant::{Home, Registries, home_assistant};
 pub use open_vocabulary::{Up, combine, open_vocabulary};
 pub use valetudo::{MAX_PIXELS, MAX_ROOM_PIXELS, segment_names, valetudo};
@@ -39,11 +40,9 @@ pub struct Imported {
 #[non_exhaustive]
 pub enum ImportError {
     /// Not JSON, or not of the format: a missing key, a wrong type.
-    #[error("{}{message}; expected {expected}", schema::place(.element))]
+    #[error("{message}; expected {expected}")]
     Json {
-        /// Path to the element, as `nodes[3].bounding_box`; `.` for the whole file.
-        element: String,
-        /// What the parser says, with line and column.
+        /// The element, as `nodes[3].bounding_box`, and what the parser says, with line and column.
         message: String,
         /// What the file should be.
         expected: &'static str,
@@ -75,13 +74,15 @@ pub enum ImportError {
     Scene(#[from] SceneError),
 }
 
+impl Imported {
+    /// Checks the file of a map.
+    fn new(file: SceneFile, notes: Vec<String>, boxed: Vec<String>) -> Result<Self, ImportError> {
+        Ok(Self { map: SemanticMap::check(file)?, notes, boxed })
+    }
+}
+
 fn parse<'a, T: serde::Deserialize<'a>>(json: &'a str, expected: &'static str) -> Result<T, ImportError> {
-    let fail = |element, error: &serde_json::Error| ImportError::Json { element, message: json_says(error), expected };
-    let mut parser = serde_json::Deserializer::from_str(without_mark(json));
-    let value =
-        serde_path_to_error::deserialize(&mut parser).map_err(|error| fail(element_of(error.path()), error.inner()))?;
-    parser.end().map_err(|error| fail("end".to_owned(), &error))?;
-    Ok(value)
+    parse_json(json).map_err(|message| ImportError::Json { message, expected })
 }
 
 /// Generates ids: words joined by hyphens, numbered from the second use on.
@@ -135,7 +136,7 @@ fn room_aliases(rooms: &[RoomEntry], named: Vec<(usize, String)>) -> BTreeMap<St
     let is_own = |room: &RoomEntry| rooms.iter().all(|other| other.id == room.id || other.label != room.label);
     let key = |room: &RoomEntry| if is_own(room) { room.label.clone() } else { room.id.clone() };
     let keys: Vec<Option<String>> =
-        rooms.iter().map(|room| Some(key(room)).filter(|key| schema::check_label(key).is_ok())).collect();
+        rooms.iter().map(|room| Some(key(room)).filter(|key| check_label(key).is_ok())).collect();
     let mut aliases = BTreeMap::<String, Vec<String>>::new();
     let mut left = MAX_ALIASES;
     let mut known = HashSet::new();
@@ -148,6 +149,12 @@ fn room_aliases(rooms: &[RoomEntry], named: Vec<(usize, String)>) -> BTreeMap<St
         }
     }
     aliases
+}
+
+/// A note on rooms that have a number in place of a name.
+fn unnamed(rooms: &[RoomEntry], remedy: &str) -> Option<String> {
+    let count = rooms.iter().filter(|room| room.label.starts_with("room ")).count();
+    (count > 0).then(|| format!("Rooms without a name ({count}): {remedy}."))
 }
 
 /// The words of a name, for a label.

@@ -15,15 +15,15 @@
 use std::collections::{BTreeMap, HashMap};
 
 use serde::{Deserialize, Deserializer};
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 
-use super::{Ids, ImportError, Imported, parse, valetudo, words};
+use super::{Ids, ImportError, Imported, parse, unnamed, valetudo, words};
+use crate::semantic_map::checks::check_count;
 use crate::semantic_map::footprint::Footprint;
 use crate::semantic_map::schema::{
-    CaptionEntry, CornersLeft, FORMAT, ItemEntry, MAX_CAPTIONS, Rings, RoomEntry, SHARE_MIN, SceneFile, VERSION,
-    check_count,
+    CaptionEntry, ItemEntry, MAX_CAPTIONS, ROOM_HEIGHT_M, Rings, RoomEntry, SHARE_MIN, SceneFile,
 };
-use crate::semantic_map::{Box3, MAX_ROOMS, MAX_TEXT_BYTES, SemanticMap};
+use crate::semantic_map::{Box3, MAX_CORNERS, MAX_ROOMS, MAX_TEXT_BYTES};
 use crate::text::without_mark;
 
 const EXPECTED: &str = "an open-vocabulary map: `objects` and `rooms`, or ConceptGraphs' objects";
@@ -33,8 +33,6 @@ const CELLS_MIN: usize = 64;
 const CELLS_ASIDE_MAX: f64 = 10_000.0;
 /// How far a vertex may lie off the grid, in cells: numbers are rounded.
 const OFF_GRID: f64 = 0.1;
-/// Height of a room if its polygon comes without one, in metres.
-const ROOM_HEIGHT_M: f64 = 2.5;
 /// How far a corner may lie off a box's and be one of its corners, in metres: numbers are rounded.
 const ROUNDED_M: f64 = 0.01;
 /// Captions of captioners for an unrecognised object.
@@ -123,10 +121,7 @@ enum Candidate {
 
 /// The smallest box around points; `None` without points.
 fn around(points_m: impl Iterator<Item = [f64; 3]>) -> Option<Box3> {
-    points_m.map(|point_m| Box3 { min_m: point_m, max_m: point_m }).reduce(|a, b| Box3 {
-        min_m: std::array::from_fn(|axis| a.min_m[axis].min(b.min_m[axis])),
-        max_m: std::array::from_fn(|axis| a.max_m[axis].max(b.max_m[axis])),
-    })
+    points_m.map(|point_m| Box3 { min_m: point_m, max_m: point_m }).reduce(Box3::with)
 }
 
 fn turned(bounds: &Box3, up: Up) -> Option<Box3> {
@@ -181,6 +176,12 @@ impl Room {
     /// Its corners, with z up; none where one has fewer than two coordinates.
     fn corners(&self, up: Up) -> Option<Vec<[f64; 3]>> {
         points(&self.vertices, up)
+    }
+
+    /// The outline around its grid cells, or the polygon.
+    fn outline(&self, up: Up) -> Rings {
+        let corners = self.corners(up).unwrap_or_default();
+        outline_of_cells(&corners).unwrap_or_else(|| vec![corners.iter().map(|&[x, y, _]| [x, y]).collect()])
     }
 
     /// Whether its outline is that of the box: both have the same corners.
@@ -277,72 +278,36 @@ fn id_text(id: Option<&Value>) -> Option<String> {
 /// # Errors
 /// When a text is not JSON.
 pub fn combine<'a>(files: impl IntoIterator<Item = &'a str>) -> Result<String, ImportError> {
-    let mut parts = Parts::default();
+    let (mut up, mut rooms, mut objects) = (Value::Null, Vec::new(), Vec::new());
     for json in files {
-        parts.add(json)?;
-    }
-    let Parts { up, rooms, objects } = parts;
-    let all = [("up", up), ("rooms", rooms.into()), ("objects", objects.into())];
-    Ok(Value::Object(all.map(|(key, value)| (key.to_owned(), value)).into_iter().collect()).to_string())
-}
-
-/// The rooms and objects of several files.
-#[derive(Default)]
-struct Parts {
-    up: Value,
-    rooms: Vec<Value>,
-    objects: Vec<Value>,
-}
-
-impl Parts {
-    fn add(&mut self, json: &str) -> Result<(), ImportError> {
-        if without_mark(json).trim_start().starts_with('[') {
-            let list: Vec<Map<String, Value>> = parse(json, EXPECTED)?;
-            for entry in list {
-                if let Some(entry) = self.add_single(entry) {
-                    self.objects.push(Value::Object(entry));
+        let is_list = without_mark(json).trim_start().starts_with('[');
+        let entries: Vec<Map<String, Value>> =
+            if is_list { parse(json, EXPECTED)? } else { vec![parse(json, EXPECTED)?] };
+        for entry in entries {
+            let has = |key: &str| entry.contains_key(key);
+            if has("object_id") || has("room_id") {
+                let list = if has("object_id") { &mut objects } else { &mut rooms };
+                list.push(Value::Object(entry));
+                // Only HOV-SG's entries have these keys.
+                up = Value::from("y");
+            } else if has("floor_id") || has("multigraph") {
+                // HOV-SG's floors, which have no more than its rooms, and its navigation graphs.
+            } else if is_list {
+                objects.push(Value::Object(entry));
+            } else {
+                let mut whole = whole(entry);
+                for (key, all) in [("rooms", &mut rooms), ("objects", &mut objects)] {
+                    match whole.remove(key).unwrap_or_default() {
+                        Value::Null => {}
+                        Value::Array(list) => all.extend(list),
+                        other => drop(parse::<File>(&json!({ key: other }).to_string(), EXPECTED)?),
+                    }
                 }
-            }
-        } else if let Some(entry) = self.add_single(parse(json, EXPECTED)?) {
-            self.add_whole(entry)?;
-        }
-        Ok(())
-    }
-
-    /// Takes an entry that is an object or a room, or none of a map; gives back another.
-    fn add_single(&mut self, entry: Map<String, Value>) -> Option<Map<String, Value>> {
-        let list = if entry.contains_key("object_id") {
-            &mut self.objects
-        } else if entry.contains_key("room_id") {
-            &mut self.rooms
-        } else if entry.contains_key("floor_id") || entry.contains_key("multigraph") {
-            // HOV-SG's floors, which have no more than its rooms, and its navigation graphs.
-            return None;
-        } else {
-            return Some(entry);
-        };
-        self.up = Value::from("y");
-        list.push(Value::Object(entry));
-        None
-    }
-
-    fn add_whole(&mut self, entry: Map<String, Value>) -> Result<(), ImportError> {
-        let mut whole = whole(entry);
-        for (key, all) in [("rooms", &mut self.rooms), ("objects", &mut self.objects)] {
-            match whole.remove(key) {
-                None | Some(Value::Null) => {}
-                Some(Value::Array(list)) => all.extend(list),
-                Some(other) => {
-                    let wrong = Value::Object(Map::from_iter([(key.to_owned(), other)]));
-                    parse::<File>(&wrong.to_string(), EXPECTED)?;
-                }
+                up = whole.remove("up").unwrap_or(up);
             }
         }
-        if let Some(own) = whole.remove("up") {
-            self.up = own;
-        }
-        Ok(())
     }
+    Ok(json!({"up": up, "rooms": rooms, "objects": objects}).to_string())
 }
 
 /// A map with `objects`: ConceptGraphs' file is an object of objects.
@@ -373,39 +338,32 @@ pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, Impor
     let (mut notes, mut boxed) = (Vec::new(), Vec::new());
 
     let mut room_ids = Ids::default();
-    let mut rooms = Vec::new();
-    let mut corners = CornersLeft::new();
+    let mut found = Vec::new();
     let mut heights_m = HashMap::new();
     for (index, room) in room_list.iter().enumerate() {
-        check_count("rooms", rooms.len(), MAX_ROOMS)?;
+        check_count("rooms", found.len(), MAX_ROOMS)?;
         let Some(bounds) = room.bounds(up) else {
             notes.push(format!("Left out rooms[{index}]: it has neither a box nor vertices."));
             continue;
         };
+        let id = id_text(room.room_id.as_ref());
         let label = room.name.as_deref().map(words).filter(|label| !label.is_empty());
-        let label = label.or_else(|| id_text(room.room_id.as_ref()).map(|id| words(&format!("room {id}"))));
+        let label = label.or_else(|| Some(words(&format!("room {}", id.as_ref()?))));
         let label = label.unwrap_or_else(|| "room".to_owned());
-        let id = room_ids.take(&label);
-        if let Some(id) = id_text(room.room_id.as_ref()) {
-            heights_m.insert(id, [bounds.min_m[2], bounds.max_m[2]]);
-        }
-        let outline = || -> Rings {
-            let corners = room.corners(up).unwrap_or_default();
-            outline_of_cells(&corners).unwrap_or_else(|| vec![corners.iter().map(|&[x, y, _]| [x, y]).collect()])
-        };
-        let footprint = if room.is_box(&bounds, up) { None } else { Some(outline()) };
-        // Also if the outline turns out to be faulty.
-        footprint.iter().try_for_each(|rings| corners.take("rooms", index, &id, rings))?;
-        rooms.push(match footprint {
-            Some(rings) if Footprint::new(&rings).is_ok() => {
-                RoomEntry::outlined(id, label, rings, bounds.min_m[2], bounds.size_m()[2])
-            }
-            unusable => {
-                boxed.extend(unusable.map(|_| id.clone()));
-                RoomEntry::boxed(id, label, bounds)
-            }
-        });
+        heights_m.extend(id.map(|id| (id, [bounds.min_m[2], bounds.max_m[2]])));
+        found.push((room_ids.take(&label), label, bounds, (!room.is_box(&bounds, up)).then(|| room.outline(up))));
     }
+    let corners: usize = found.iter().flat_map(|(.., rings)| rings).flatten().map(Vec::len).sum();
+    // The check of the map refuses more corners before it looks at them.
+    let is_usable = |rings: &Rings| corners > MAX_CORNERS || Footprint::new(rings).is_ok();
+    let room = |(id, label, bounds, rings): (String, String, Box3, Option<Rings>)| match rings {
+        Some(rings) if is_usable(&rings) => RoomEntry::outlined(id, label, rings, bounds.min_m[2], bounds.size_m()[2]),
+        unusable => {
+            boxed.extend(unusable.map(|_| id.clone()));
+            RoomEntry::boxed(id, label, bounds)
+        }
+    };
+    let rooms: Vec<RoomEntry> = found.into_iter().map(room).collect();
     if rooms.is_empty() {
         let remedy = "add `rooms` with a `name` and a `box` or `vertices`; ConceptGraphs' object files have none, so give a file of rooms, too";
         return Err(ImportError::NoRooms { remedy });
@@ -421,42 +379,17 @@ pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, Impor
         };
         flat += usize::from(object.is_flat());
         let number = id_text(object.object_id.as_ref()).unwrap_or_else(|| index.to_string());
-        let captions = if labels.len() > 1 { &labels[..] } else { &[] };
-        items.push(ItemEntry {
-            id: item_ids.take(&format!("{label} {number}")),
-            label: label.clone(),
-            captions: captions
-                .iter()
-                .map(|(label, weight)| CaptionEntry { label: label.clone(), weight: *weight })
-                .collect(),
-            position_m: bounds.centre_m(),
-            r#box: bounds,
-        });
+        let item = ItemEntry::boxed(item_ids.take(&format!("{label} {number}")), label, bounds);
+        let captions = if labels.len() > 1 { labels } else { Vec::new() };
+        let captions = captions.into_iter().map(|(label, weight)| CaptionEntry { label, weight }).collect();
+        items.push(ItemEntry { captions, ..item });
     }
     if flat > 0 {
         notes
             .push(format!("Objects without heights ({flat}): each reaches from the floor of its room to the ceiling."));
     }
-    let unnamed = rooms.iter().filter(|room| room.label.starts_with("room ")).count();
-    if unnamed > 0 {
-        notes.push(format!(
-            "Rooms without a name ({unnamed}): write a `name` as \"kitchen\" into their files, and import again."
-        ));
-    }
-    let file = SceneFile {
-        format: FORMAT.to_owned(),
-        version: VERSION,
-        name: name.to_owned(),
-        description: String::new(),
-        source: "open-vocabulary map, imported".to_owned(),
-        rooms,
-        parts: Vec::new(),
-        groups: Vec::new(),
-        doors: Vec::new(),
-        aliases: BTreeMap::new(),
-        items,
-    };
-    Ok(Imported { map: SemanticMap::check(file)?, notes, boxed })
+    notes.extend(unnamed(&rooms, "write a `name` as \"kitchen\" into their files, and import again"));
+    Imported::new(SceneFile::new(name, "open-vocabulary map, imported", rooms, items), notes, boxed)
 }
 
 #[cfg(test)]
@@ -572,8 +505,6 @@ mod tests {
         let rooms = r#"{"rooms": [{"name": "office", "box": {"min_m": [0, 0, 0], "max_m": [4, 4, 3]}}]}"#;
         let imported = open_vocabulary(&combine([objects, rooms]).unwrap(), "office", Up::Z).unwrap();
         assert_eq!((&imported.map.labels[..], imported.notes.len()), (&["office chair".to_owned()][..], 1));
-        let error = open_vocabulary(objects, "office", Up::Z).unwrap_err();
-        assert!(error.to_string().contains("give a file of rooms"), "{error}");
     }
 
     /// Outlines that are none are refused before they are looked at, where all of them have more corners than a map.

@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, HashMap};
 
 use super::{ImportError, Imported};
-use crate::semantic_map::SemanticMap;
 use crate::semantic_map::schema::{CaptionEntry, ItemEntry, MAX_ALIASES};
 
 impl Imported {
@@ -42,7 +41,7 @@ impl Imported {
             let captions = weights.into_iter().map(|(label, weight)| CaptionEntry { label, weight });
             item.captions = if sole { Vec::new() } else { captions.collect() };
         }
-        Ok(Self { map: SemanticMap::check(file)?, notes, boxed })
+        Self::new(file, notes, boxed)
     }
 }
 

@@ -11,11 +11,11 @@ use std::collections::HashMap;
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::{Ids, ImportError, Imported, parse, room_aliases, room_label, room_words};
+use super::{Ids, ImportError, Imported, parse, room_aliases, room_label, room_words, unnamed};
 use crate::names::Names;
 use crate::parsing::toml_says;
-use crate::semantic_map::schema::{DoorEntry, FORMAT, ItemEntry, ROOM_HEIGHT_M, Rings, RoomEntry, SceneFile, VERSION};
-use crate::semantic_map::{Box3, MAX_ROOMS, SemanticMap};
+use crate::semantic_map::schema::{DoorEntry, ItemEntry, ROOM_HEIGHT_M, Rings, RoomEntry, SceneFile};
+use crate::semantic_map::{Box3, MAX_ROOMS};
 
 mod outline;
 mod raster;
@@ -25,7 +25,7 @@ mod tests;
 pub(super) use outline::outline;
 
 use outline::{MAX_LOOKS, Traced, footprints, outlines, tidy};
-use raster::{Raster, WALL, contacts, widest};
+use raster::{Raster, WALL, contacts, raster, widest};
 
 const EXPECTED: &str = "a map as Valetudo exports it: `pixelSize` and `layers`";
 /// Most pixels of a robot's map, and of the rectangle around it.
@@ -89,19 +89,52 @@ struct Entity {
     points: Value,
 }
 
-/// A place on the raster, or a corner between its pixels.
+/// A place on a grid, or a corner between its cells.
 type Cell = [i64; 2];
+
+/// A rectangle of cells.
+struct Grid<T> {
+    min: Cell,
+    size: [usize; 2],
+    cells: Vec<T>,
+}
+
+impl<T: Copy> Grid<T> {
+    /// Cells with one value, both ends included; gives back the size if they would be more than `most`.
+    fn filled(min: Cell, max: Cell, value: T, most: usize) -> Result<Self, [usize; 2]> {
+        let size = [0, 1].map(|axis| usize::try_from(max[axis] - min[axis] + 1).unwrap_or(usize::MAX));
+        let count = size[0].checked_mul(size[1]).filter(|count| *count <= most).ok_or(size)?;
+        Ok(Self { min, size, cells: vec![value; count] })
+    }
+
+    fn place(&self, [x, y]: Cell) -> Option<usize> {
+        let column = usize::try_from(x - self.min[0]).ok().filter(|column| *column < self.size[0])?;
+        let row = usize::try_from(y - self.min[1]).ok().filter(|row| *row < self.size[1])?;
+        Some(row * self.size[0] + column)
+    }
+
+    fn at(&self, place: usize) -> Cell {
+        [self.min[0] + (place % self.size[0]) as i64, self.min[1] + (place / self.size[0]) as i64]
+    }
+
+    fn get(&self, cell: Cell) -> Option<T> {
+        self.place(cell).map(|place| self.cells[place])
+    }
+
+    fn put(&mut self, cell: Cell, value: T) {
+        if let Some(place) = self.place(cell) {
+            self.cells[place] = value;
+        }
+    }
+}
 
 /// Runs of pixels: where each begins, and how many there are.
 type Runs = Vec<(Cell, i64)>;
 
 impl Layer {
     fn runs(&self, index: usize, left: &mut usize) -> Result<Runs, ImportError> {
-        let fault =
-            |message: String| ImportError::Json { element: format!("layers[{index}]"), message, expected: EXPECTED };
         if !self.pixels.len().is_multiple_of(2) || !self.runs.len().is_multiple_of(3) {
-            let message = "pixels are pairs of numbers, compressedPixels triples".to_owned();
-            return Err(fault(message));
+            return Err(fault(format!("layers[{index}]: pixels are pairs of numbers, compressedPixels triples")));
         }
         let single = self.pixels.chunks_exact(2).map(|pixel| ([pixel[0], pixel[1]], 1));
         let runs = single.chain(self.runs.chunks_exact(3).map(|run| ([run[0], run[1]], run[2])));
@@ -111,7 +144,7 @@ impl Layer {
             let rest = count.and_then(|count| left.checked_sub(count).map(|rest| (rest, count)));
             let Some((rest, count)) = rest else {
                 return Err(fault(format!(
-                    "has a run at {at:?} that lies too far out, or more than {MAX_PIXELS} pixels"
+                    "layers[{index}]: has a run at {at:?} that lies too far out, or more than {MAX_PIXELS} pixels"
                 )));
             };
             *left = rest;
@@ -137,7 +170,6 @@ fn text_of(value: &Value) -> Option<String> {
 /// When the text is no table of names.
 pub fn segment_names(toml: &str) -> Result<HashMap<String, String>, ImportError> {
     toml::from_str(toml).map_err(|error: toml::de::Error| ImportError::Json {
-        element: ".".to_owned(),
         message: toml_says(&error),
         expected: "names of segments, as 11 = \"kitchen\" on a line each",
     })
@@ -154,7 +186,7 @@ pub fn segment_names(toml: &str) -> Result<HashMap<String, String>, ImportError>
 pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Result<Imported, ImportError> {
     let file: File = parse(json, EXPECTED)?;
     if !(0.1..=100.0).contains(&file.pixel_size_cm) {
-        return Err(fault("pixelSize", format!("{} is no size of a pixel in cm", file.pixel_size_cm)));
+        return Err(fault(format!("pixelSize: {} is no size of a pixel in cm", file.pixel_size_cm)));
     }
     let pixel_m = file.pixel_size_cm / 100.0;
     let mut notes = Vec::new();
@@ -176,23 +208,15 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
         None => "Valetudo map, imported".to_owned(),
     };
     let file = SceneFile {
-        format: FORMAT.to_owned(),
-        version: VERSION,
-        name: name.to_owned(),
-        description: String::new(),
-        source,
         aliases: room_aliases(&rooms, named),
-        rooms,
-        parts: Vec::new(),
-        groups: Vec::new(),
         doors: doors(&raster, &room_of, pixel_m),
-        items: charger(&file).into_iter().collect(),
+        ..SceneFile::new(name, &source, rooms, charger(&file).into_iter().collect())
     };
-    Ok(Imported { map: SemanticMap::check(file)?, notes, boxed })
+    Imported::new(file, notes, boxed)
 }
 
-fn fault(element: &str, message: String) -> ImportError {
-    ImportError::Json { element: element.to_owned(), message, expected: EXPECTED }
+fn fault(message: String) -> ImportError {
+    ImportError::Json { message, expected: EXPECTED }
 }
 
 /// The layers that become rooms, with the numbers and names of their segments.
@@ -221,7 +245,7 @@ impl<'a> Segments<'a> {
             return Err(ImportError::NoRooms { remedy });
         }
         if layers.len() > MAX_ROOMS {
-            return Err(fault("layers", format!("{} segments, more than {MAX_ROOMS}", layers.len())));
+            return Err(fault(format!("layers: {} segments, more than {MAX_ROOMS}", layers.len())));
         }
         let number_of = |(index, layer): (usize, &&Layer)| {
             let given = text_of(&layer.about.segment).filter(|_| divided);
@@ -250,7 +274,7 @@ impl<'a> Segments<'a> {
         }
         // Walls first: a pixel of a wall and a segment is floor.
         layers.sort_by_key(|(mark, _)| u8::from(*mark != WALL));
-        Raster::new(&layers, pixel_m)
+        raster(&layers, pixel_m)
     }
 
     /// The rooms of the segments that have pixels.
@@ -316,7 +340,7 @@ fn trace(raster: &Raster, segments: usize, pixel_m: f64) -> Result<Vec<Traced>, 
     let mut trace = |mark: u8| {
         let Some((largest, count)) = pieces.remove(&mark) else { return Ok(None) };
         let outlines = outlines(raster, mark, &largest, reach, &mut left).ok_or_else(|| {
-            fault("layers", format!("the rectangles around its segments are more than {MAX_ROOM_PIXELS} pixels in all"))
+            fault(format!("layers: the rectangles around its segments are more than {MAX_ROOM_PIXELS} pixels in all"))
         })?;
         Ok(Some((outlines, 1.0 - largest.len() as f64 / count as f64)))
     };
@@ -342,10 +366,11 @@ fn shapes(traced: &[Traced], pixel_m: f64) -> (Vec<Option<Rings>>, Option<f64>) 
 
 /// The box around an outline.
 fn around(outline: &[Cell], pixel_m: f64) -> Box3 {
-    let corners = || outline.iter().map(|&[x, y]| [x as f64 * pixel_m, -y as f64 * pixel_m]);
-    let least = |axis: usize| corners().map(|corner| corner[axis]).fold(f64::INFINITY, f64::min);
-    let most = |axis: usize| corners().map(|corner| corner[axis]).fold(f64::NEG_INFINITY, f64::max);
-    Box3 { min_m: [least(0), least(1), 0.0], max_m: [most(0), most(1), ROOM_HEIGHT_M] }
+    let corner = |&[x, y]: &Cell| {
+        let [x, y] = [x as f64 * pixel_m, -y as f64 * pixel_m];
+        Box3 { min_m: [x, y, 0.0], max_m: [x, y, ROOM_HEIGHT_M] }
+    };
+    outline.iter().map(corner).reduce(Box3::with).unwrap_or(Box3 { min_m: [0.0; 3], max_m: [0.0; 3] })
 }
 
 /// The doors: places where two rooms lie side by side with no wall between them.
@@ -370,17 +395,11 @@ fn doors(raster: &Raster, room_of: &HashMap<u8, String>, pixel_m: f64) -> Vec<Do
 fn charger(file: &File) -> Option<ItemEntry> {
     let entity = file.entities.iter().find(|entity| entity.r#type == "charger_location")?;
     let [x, y] = [tidy(entity.points.get(0)?.as_f64()? / 100.0), tidy(-entity.points.get(1)?.as_f64()? / 100.0)];
-    let [width, height] = CHARGER_M.map(|metres| 0.5 * metres);
-    Some(ItemEntry {
-        id: "charging-station".to_owned(),
-        label: CHARGER.to_owned(),
-        captions: Vec::new(),
-        position_m: [x, y, height],
-        r#box: Box3 {
-            min_m: [tidy(x - width), tidy(y - width), 0.0],
-            max_m: [tidy(x + width), tidy(y + width), 2.0 * height],
-        },
-    })
+    let [width, height] = CHARGER_M;
+    let corner = |side: f64, z: f64| [tidy(x + side * width), tidy(y + side * width), z];
+    let bounds = Box3 { min_m: corner(-0.5, 0.0), max_m: corner(0.5, height) };
+    let position_m = [x, y, 0.5 * height];
+    Some(ItemEntry { position_m, ..ItemEntry::boxed("charging-station".to_owned(), CHARGER, bounds) })
 }
 
 /// A note on entities that the robot keeps itself.
@@ -403,9 +422,7 @@ fn nameless(rooms: &[RoomEntry]) -> Vec<String> {
             foreign.join(", ")
         ));
     }
-    let unnamed = rooms.iter().filter(|room| room.label.starts_with("room ")).count();
-    if unnamed > 0 {
-        notes.push(format!("Rooms without a name ({unnamed}): name them with --names, or in the robot's own program, so that their names say something."));
-    }
+    let remedy = "name them with --names, or in the robot's own program, so that their names say something";
+    notes.extend(unnamed(rooms, remedy));
     notes
 }

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use serde::Deserialize;
 
 use super::{Ids, ImportError, Imported, parse, words};
-use crate::semantic_map::schema::{DoorEntry, FORMAT, ItemEntry, MAX_ALIASES, RoomEntry, SceneFile, VERSION};
-use crate::semantic_map::{Box3, SemanticMap};
+use crate::semantic_map::Box3;
+use crate::semantic_map::schema::{DoorEntry, ItemEntry, MAX_ALIASES, RoomEntry, SceneFile};
 
 #[derive(Deserialize)]
 struct Graph {
@@ -81,27 +81,18 @@ pub fn virtualhome(json: &str, name: &str, equivalence: Option<&str>) -> Result<
         } else if node.category == "Characters" {
             notes.push(format!("Left out node {} ({label}): a person is not part of the map.", node.id));
         } else {
-            let id = item_ids.take(&format!("{label} {}", node.id));
-            items.push(ItemEntry { id, label, captions: Vec::new(), position_m: bounds.centre_m(), r#box: bounds });
+            items.push(ItemEntry::boxed(item_ids.take(&format!("{label} {}", node.id)), &label, bounds));
         }
     }
     if rooms.is_empty() {
         return Err(ImportError::NoRooms { remedy: "at least one node must have the category `Rooms` and a box" });
     }
     let file = SceneFile {
-        format: FORMAT.to_owned(),
-        version: VERSION,
-        name: name.to_owned(),
-        description: String::new(),
-        source: "VirtualHome environment graph, imported".to_owned(),
-        rooms,
-        parts: Vec::new(),
-        groups: Vec::new(),
         doors: doors(&graph.edges, &node_of, &room_of),
         aliases: aliases(&items, equivalence, &mut notes)?,
-        items,
+        ..SceneFile::new(name, "VirtualHome environment graph, imported", rooms, items)
     };
-    Ok(Imported { map: SemanticMap::check(file)?, notes, boxed: Vec::new() })
+    Imported::new(file, notes, Vec::new())
 }
 
 fn doors(edges: &[Edge], node_of: &HashMap<i64, &Node>, room_of: &HashMap<i64, String>) -> Vec<DoorEntry> {
@@ -198,7 +189,7 @@ mod tests {
                 .contains("nodes[0].bounding_box.size")
         );
         assert!(message(&GRAPH.replace("[1, 0.5, 2]", "[1, 0.5, 1e300]")).contains("farther than 10 km"));
-        assert!(message(&format!("{{\"x\": {}", "[".repeat(100_000))).contains("the text ends before its ]"));
+        assert!(message(&format!("{{\"x\": {}", "[".repeat(100_000))).contains("the text ends too early"));
     }
 
     proptest! {

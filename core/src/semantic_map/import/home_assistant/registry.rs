@@ -7,7 +7,8 @@ use serde_json::Value;
 
 use super::comment;
 use crate::names::Names;
-use crate::semantic_map::import::{ImportError, parse, room_label};
+use crate::semantic_map::import::{ImportError, room_label};
+use crate::semantic_map::schema::parse_json;
 
 const EXPECTED: &str = "a registry of Home Assistant, from the folder `.storage`";
 /// Longer names of devices and entities are ignored, in bytes.
@@ -31,7 +32,6 @@ pub(super) struct Area {
     #[serde(alias = "area_id")]
     pub(super) id: String,
     pub(super) name: String,
-    #[serde(default)]
     pub(super) floor_id: Option<String>,
     /// Some homes have values here that are no texts.
     #[serde(default)]
@@ -75,7 +75,6 @@ pub(super) struct Floor {
     pub(super) floor_id: String,
     #[serde(default)]
     pub(super) name: String,
-    #[serde(default)]
     pub(super) level: Option<i64>,
 }
 
@@ -87,11 +86,8 @@ pub(super) struct Devices {
 #[derive(Deserialize)]
 pub(super) struct Device {
     pub(super) id: String,
-    #[serde(default)]
     pub(super) area_id: Option<String>,
-    #[serde(default)]
     name: Option<String>,
-    #[serde(default)]
     name_by_user: Option<String>,
 }
 
@@ -103,28 +99,18 @@ pub(super) struct Entities {
 #[derive(Deserialize)]
 pub(super) struct Entity {
     pub(super) entity_id: String,
-    #[serde(default)]
     pub(super) area_id: Option<String>,
-    #[serde(default)]
     pub(super) device_id: Option<String>,
-    #[serde(default)]
     pub(super) name: Option<String>,
-    #[serde(default)]
     pub(super) original_name: Option<String>,
-    #[serde(default)]
     device_class: Option<String>,
-    #[serde(default)]
     original_device_class: Option<String>,
-    #[serde(default)]
     platform: Option<String>,
     #[serde(default)]
     translation_key: Value,
-    #[serde(default)]
-    disabled_by: Value,
-    #[serde(default)]
-    hidden_by: Value,
-    #[serde(default)]
-    entity_category: Value,
+    disabled_by: Option<Value>,
+    hidden_by: Option<Value>,
+    entity_category: Option<Value>,
     #[serde(default)]
     pub(super) unique_id: Value,
     #[serde(default)]
@@ -151,7 +137,7 @@ impl Entity {
 
     /// Disabled, hidden, or an entity of diagnosis or configuration. The registry has null if it is neither.
     pub(super) fn is_quiet(&self) -> bool {
-        [&self.disabled_by, &self.hidden_by, &self.entity_category].iter().any(|value| !value.is_null())
+        [&self.disabled_by, &self.hidden_by, &self.entity_category].iter().any(|value| value.is_some())
     }
 
     /// The names that can name its thing, the user's own first.
@@ -185,12 +171,6 @@ pub(super) struct Person {
 /// A registry that may be missing. An error names its file.
 pub(super) fn registry<'a, T: Deserialize<'a> + Default>(file: &str, text: Option<&'a str>) -> Result<T, ImportError> {
     let Some(text) = text else { return Ok(T::default()) };
-    let named = |error| match error {
-        ImportError::Json { element, message, expected } => {
-            let within = if ["?", "."].contains(&&*element) { String::new() } else { format!(": {element}") };
-            ImportError::Json { element: format!("{file}{within}"), message, expected }
-        }
-        other => other,
-    };
-    parse::<Registry<T>>(text, EXPECTED).map(|registry| registry.data).map_err(named)
+    let named = |message| ImportError::Json { message: format!("{file}: {message}"), expected: EXPECTED };
+    parse_json::<Registry<T>>(text).map(|registry| registry.data).map_err(named)
 }

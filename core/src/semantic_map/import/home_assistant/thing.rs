@@ -17,65 +17,24 @@ const WHICH_MAX: usize = 2;
 /// Shortest word that is taken for an abbreviation of a room.
 const SHORTEST: usize = 2;
 /// Things that people sit or lie on, so that a sensor there says nothing about the rest of the room.
-const SEATS: [&str; 5] = ["bed", "sofa", "desk", "chair", "armchair"];
+const SEATS: &str = "bed, sofa, desk, chair, armchair";
 /// Things that a switch powers only in part: it switches something on them.
-const FURNITURE: [&str; 11] = [
-    "bed",
-    "sofa",
-    "desk",
-    "chair",
-    "armchair",
-    "wardrobe",
-    "shower",
-    "toilet",
-    "mailbox",
-    "front door",
-    "balcony door",
-];
+const FURNITURE: &str = "bed, sofa, desk, chair, armchair, wardrobe, shower, toilet, mailbox, front door, balcony door";
 /// Doors that lead out of the house.
-const WAYS_OUT: [&str; 7] =
-    ["front door", "main door", "entrance door", "entry door", "back door", "rear door", "garage door"];
+const WAYS_OUT: &str = "front door, main door, entrance door, entry door, back door, rear door, garage door";
 /// Things that take power while a person uses them. Thermostats and batteries do not turn them on.
-const OPERATED: [&str; 19] = [
-    "kettle",
-    "coffee maker",
-    "toaster",
-    "microwave",
-    "oven",
-    "stove",
-    "air fryer",
-    "mixer",
-    "washing machine",
-    "dishwasher",
-    "dryer",
-    "television",
-    "game console",
-    "iron",
-    "hair dryer",
-    "sewing machine",
-    "treadmill",
-    "exercise bike",
-    "electric toothbrush",
-];
+const OPERATED: &str = "kettle, coffee maker, toaster, microwave, oven, stove, air fryer, mixer, washing machine, dishwasher, \
+    dryer, television, game console, iron, hair dryer, sewing machine, treadmill, exercise bike, \
+    electric toothbrush";
 /// Integrations of cameras that detect persons.
-const CAMERAS: [&str; 3] = ["frigate", "reolink", "unifiprotect"];
+const CAMERAS: &str = "frigate, reolink, unifiprotect";
 /// Integrations of players that only sound.
-const SPEAKERS: [&str; 14] = [
-    "alexa_media",
-    "bluesound",
-    "bose",
-    "heos",
-    "linkplay",
-    "mpd",
-    "music_assistant",
-    "musiccast",
-    "roon",
-    "snapcast",
-    "sonos",
-    "soundtouch",
-    "squeezebox",
-    "yamaha_musiccast",
-];
+const SPEAKERS: &str = "alexa_media, bluesound, bose, heos, linkplay, mpd, music_assistant, musiccast, roon, snapcast, sonos, \
+    soundtouch, squeezebox, yamaha_musiccast";
+
+fn is_in(list: &str, word: &str) -> bool {
+    list.split(", ").any(|own| own == word)
+}
 
 /// What an entity is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -87,22 +46,18 @@ pub(super) enum Kind {
     Lamp,
     Door,
     Lock,
-    GarageDoor,
-    Gate,
-    Window,
-    Blinds,
-    Curtain,
-    Awning,
+    /// A thing that opens, and no door to a room: a window, a curtain, a garage door.
+    Opened(&'static str),
     /// A cover without a class.
     Cover,
     Television,
-    Speaker,
-    Stereo,
+    /// A speaker or a stereo.
+    Sounding(&'static str),
     /// A player without a class.
     Player,
     Fan,
-    Humidifier,
-    Dehumidifier,
+    /// A humidifier or a dehumidifier.
+    Turned(&'static str),
     Climate,
     Switch,
     /// A sensor of a machine that runs or of a thing that shakes.
@@ -120,25 +75,25 @@ impl Kind {
             ("binary_sensor", "motion" | "moving") => Self::Motion,
             ("binary_sensor", "occupancy" | "presence") => Self::Occupancy,
             ("binary_sensor" | "cover", "door") | ("binary_sensor", "opening") => Self::Door,
-            ("binary_sensor", "garage_door") | ("cover", "garage") => Self::GarageDoor,
-            ("binary_sensor" | "cover", "window") => Self::Window,
+            ("binary_sensor", "garage_door") | ("cover", "garage") => Self::Opened("garage door"),
+            ("binary_sensor" | "cover", "window") => Self::Opened("window"),
             ("binary_sensor", "lock") | ("lock", _) => Self::Lock,
             ("binary_sensor", "running" | "power" | "plug" | "vibration") => Self::Used,
             ("light", _) => Self::Lamp,
             ("switch", _) => Self::Switch,
             ("fan", _) => Self::Fan,
-            ("humidifier", "dehumidifier") => Self::Dehumidifier,
-            ("humidifier", _) => Self::Humidifier,
-            ("cover", "gate") => Self::Gate,
-            ("cover", "curtain") => Self::Curtain,
-            ("cover", "awning") => Self::Awning,
+            ("humidifier", "dehumidifier") => Self::Turned("dehumidifier"),
+            ("humidifier", _) => Self::Turned("humidifier"),
+            ("cover", "gate") => Self::Opened("gate"),
+            ("cover", "curtain") => Self::Opened("curtain"),
+            ("cover", "awning") => Self::Opened("awning"),
             ("cover", "damper") => return None,
             ("cover", "") => Self::Cover,
-            ("cover", _) => Self::Blinds,
+            ("cover", _) => Self::Opened("blinds"),
             ("media_player", "tv") => Self::Television,
-            ("media_player", "speaker") => Self::Speaker,
-            ("media_player", "receiver") => Self::Stereo,
-            ("media_player", _) if SPEAKERS.contains(&entity.platform()) => Self::Speaker,
+            ("media_player", "speaker") => Self::Sounding("speaker"),
+            ("media_player", "receiver") => Self::Sounding("stereo"),
+            ("media_player", _) if is_in(SPEAKERS, entity.platform()) => Self::Sounding("speaker"),
             ("media_player", _) => Self::Player,
             ("climate", _) => Self::Climate,
             ("sensor", "power") => Self::Power,
@@ -153,18 +108,10 @@ impl Kind {
         match self {
             Self::Lamp => Some("lamp"),
             Self::Door | Self::Lock => Some("door"),
-            Self::GarageDoor => Some("garage door"),
-            Self::Gate => Some("gate"),
-            Self::Window => Some("window"),
-            Self::Blinds | Self::Cover => Some("blinds"),
-            Self::Curtain => Some("curtain"),
-            Self::Awning => Some("awning"),
+            Self::Opened(noun) | Self::Sounding(noun) | Self::Turned(noun) => Some(noun),
+            Self::Cover => Some("blinds"),
             Self::Television | Self::Player => Some("television"),
-            Self::Speaker => Some("speaker"),
-            Self::Stereo => Some("stereo"),
             Self::Fan => Some("fan"),
-            Self::Humidifier => Some("humidifier"),
-            Self::Dehumidifier => Some("dehumidifier"),
             Self::Climate => Some("radiator"),
             Self::Motion | Self::Occupancy | Self::Switch | Self::Used | Self::Power | Self::Measured => None,
         }
@@ -172,16 +119,16 @@ impl Kind {
 
     /// Whether an entity of this kind can be of a thing that its name has: only doors open fridges, and none opens a bed.
     fn may_be(self, thing: &str) -> bool {
-        let one_of = |things: &[&str]| things.contains(&thing);
+        let one_of = |things: &str| is_in(things, thing);
         match self {
             Self::Lamp => !thing.ends_with("door") && !thing.ends_with("gate"),
             Self::Door | Self::Lock => thing.ends_with("door") || Names::built_in().entities().is_opened(thing),
-            Self::Cover => one_of(&["blinds", "curtain", "awning", "garage door", "gate"]),
-            Self::Speaker | Self::Stereo => one_of(&["speaker", "radio", "stereo"]),
-            Self::Player => one_of(&["television", "speaker", "radio", "stereo", "game console"]),
-            Self::Fan => one_of(&["fan", "ceiling fan", "exhaust fan", "range hood", "air purifier", "heater"]),
-            Self::Climate => one_of(&["radiator", "air conditioner", "heater", "heat pump"]),
-            Self::Occupancy => SEATS.contains(&thing),
+            Self::Cover => one_of("blinds, curtain, awning, garage door, gate"),
+            Self::Sounding(_) => one_of("speaker, radio, stereo"),
+            Self::Player => one_of("television, speaker, radio, stereo, game console"),
+            Self::Fan => one_of("fan, ceiling fan, exhaust fan, range hood, air purifier, heater"),
+            Self::Climate => one_of("radiator, air conditioner, heater, heat pump"),
+            Self::Occupancy => one_of(SEATS),
             Self::Switch | Self::Used | Self::Power | Self::Measured => {
                 thing == "garage door" || !thing.ends_with("door")
             }
@@ -204,17 +151,15 @@ impl Kind {
         match self {
             Self::Motion | Self::Occupancy | Self::Climate | Self::Power | Self::Measured => Vec::new(),
             Self::Used => vec![(on, "use")],
-            Self::Switch if FURNITURE.contains(&thing) => vec![(on, "use")],
+            Self::Switch if is_in(FURNITURE, thing) => vec![(on, "use")],
             Self::Lock => vec![(on, "unlock"), (off, "lock")],
-            Self::Television | Self::Speaker | Self::Stereo | Self::Player => match thing {
+            Self::Television | Self::Sounding(_) | Self::Player => match thing {
                 "speaker" | "radio" | "stereo" => vec![("playing", "listen to"), ("off", "turn off")],
                 "game console" => vec![("playing", "use"), ("on", "turn on"), ("off", "turn off")],
                 // Many televisions tell that they are on, and no more.
                 _ => vec![("playing", "watch"), ("on", "turn on"), ("off", "turn off")],
             },
-            Self::Lamp | Self::Fan | Self::Humidifier | Self::Dehumidifier | Self::Switch => {
-                vec![(on, "turn on"), (off, "turn off")]
-            }
+            Self::Lamp | Self::Fan | Self::Turned(_) | Self::Switch => vec![(on, "turn on"), (off, "turn off")],
             _ => vec![(on, "open"), (off, "close")],
         }
     }
@@ -278,7 +223,7 @@ impl Sensor {
             return Err(NoSensor::Silent);
         }
         let has_noun = |noun: &str| all().any(|word| words_of_entities.is_noun(word, noun));
-        let is_camera = CAMERAS.contains(&entity.platform()) || all().any(|word| ["camera", "person"].contains(&word));
+        let is_camera = is_in(CAMERAS, entity.platform()) || all().any(|word| ["camera", "person"].contains(&word));
         let is_garage = |word: &str| Names::built_in().kind_of_room(word) == Some("garage");
         let mut noun = kind.noun();
         match kind {
@@ -289,7 +234,7 @@ impl Sensor {
             Kind::Switch if has_noun("lamp") => (kind, noun) = (Kind::Lamp, Some("lamp")),
             Kind::Used | Kind::Power | Kind::Measured if has_noun("lamp") => noun = Some("lamp"),
             Kind::Door if entity.class() == "opening" && has_noun("window") => {
-                (kind, noun) = (Kind::Window, Some("window"))
+                (kind, noun) = (Kind::Opened("window"), Some("window"))
             }
             _ => {}
         }
@@ -311,7 +256,7 @@ impl Sensor {
     /// The kind of sensor for a rule. `None` for a thing that people operate, and for a door between two rooms: the registries do not have its
     /// other room. `sees_room` says that no other sensor holds the state of the room.
     pub(super) fn device(&self, sees_room: bool) -> Option<SensorKind> {
-        let is_one_of = |things: &[&str]| self.thing.as_deref().is_some_and(|thing| things.contains(&thing));
+        let is_one_of = |things: &str| self.thing.as_deref().is_some_and(|thing| is_in(things, thing));
         match self.kind {
             Kind::Motion => Some(SensorKind::Motion),
             Kind::Occupancy if self.is_seat() => Some(SensorKind::Bed),
@@ -319,8 +264,8 @@ impl Sensor {
             Kind::Occupancy if sees_room => Some(SensorKind::Presence),
             // Each of several sensors sees a part of the room, so "off" says little.
             Kind::Occupancy => Some(SensorKind::Motion),
-            Kind::Door | Kind::GarageDoor if is_one_of(&WAYS_OUT) => Some(SensorKind::Door),
-            Kind::Power if is_one_of(&OPERATED) => Some(SensorKind::Appliance),
+            Kind::Door | Kind::Opened(_) if is_one_of(WAYS_OUT) => Some(SensorKind::Door),
+            Kind::Power if is_one_of(OPERATED) => Some(SensorKind::Appliance),
             _ => None,
         }
     }
@@ -375,7 +320,7 @@ fn thing_in(words: &[String], area_words: &HashSet<String>, kind: Kind) -> Optio
     }
     let own = words.iter().map(String::as_str).filter(|word| !area_words.contains(*word));
     match kind {
-        Kind::Door | Kind::Window | Kind::Lock => {
+        Kind::Door | Kind::Opened("window") | Kind::Lock => {
             let which: Vec<&str> = own.filter(|word| entities.is_which(word)).take(WHICH_MAX).collect();
             let noun = kind.noun()?;
             (!which.is_empty()).then(|| format!("{} {noun}", which.join(" ")))
@@ -436,7 +381,10 @@ impl<'a> FirstNames<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use Kind::{Cover, Door, Lamp, Player, Speaker, Switch, Used, Window};
+    use Kind::{Cover, Door, Lamp, Player, Switch, Used};
+
+    const SPEAKER: Kind = Kind::Sounding("speaker");
+    const WINDOW: Kind = Kind::Opened("window");
 
     #[test]
     fn things_are_named_in_plain_words() {
@@ -451,7 +399,7 @@ mod tests {
             ("Kühlschranktür", Door, Some("fridge")),
             ("kitchen_ceiling", Lamp, Some("ceiling lamp")),
             ("front_door", Door, Some("front door")),
-            ("back left window", Window, Some("back left window")),
+            ("back left window", WINDOW, Some("back left window")),
             ("kitchen motion", Switch, None),
             ("0x00158d0001", Door, None),
             ("Coffee maker plug 2", Switch, Some("coffee maker")),
@@ -459,13 +407,13 @@ mod tests {
             ("Wohnzimmer Licht Decke", Lamp, Some("ceiling lamp")),
             ("Kitchen Rollo", Cover, Some("blinds")),
             ("Garagentor", Cover, Some("garage door")),
-            ("Küchenfenster links", Window, None),
+            ("Küchenfenster links", WINDOW, None),
             ("Schlafzimmertür", Door, None),
             ("Haustür", Door, Some("front door")),
             ("Haus Licht", Lamp, None),
             ("TV Hintergrundlicht", Lamp, Some("television lamp")),
             ("Porte frigo", Door, Some("fridge")),
-            ("Fenêtre de la cuisine gauche", Window, None),
+            ("Fenêtre de la cuisine gauche", WINDOW, None),
             ("Lumière plafond", Lamp, Some("ceiling lamp")),
             ("Puerta de la nevera", Door, Some("fridge")),
             ("Enchufe lavadora", Switch, Some("washing machine")),
@@ -473,17 +421,17 @@ mod tests {
             ("Czujnik otwarcia lodówka", Door, Some("fridge")),
             ("Aqara MCCGQ11LM Door", Door, None),
             ("Hue color lamp 2", Lamp, None),
-            ("Nest Mini", Speaker, Some("speaker")),
+            ("Nest Mini", SPEAKER, Some("speaker")),
             ("Living Room Apple TV", Player, Some("television")),
             ("Холодильник", Door, Some("fridge")),
             ("LED Strip TV Board", Lamp, Some("television lamp")),
             ("Wandlampe", Lamp, None),
             ("Spiegel", Lamp, None),
-            ("bed_window", Window, None),
+            ("bed_window", WINDOW, None),
             ("bed", Door, None),
             ("kit_toaster", Switch, Some("toaster")),
             ("Компрессор", Switch, None),
-            ("f", Window, None),
+            ("f", WINDOW, None),
             ("灯", Switch, None),
         ] {
             assert_eq!(thing_in(&words(text, &area), &area.words, kind).as_deref(), expected, "{text}");

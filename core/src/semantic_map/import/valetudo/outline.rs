@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::raster::{FREE, Raster, WALL, beside, piece};
-use super::{Cell, MAX_PIXELS, TOLERANCE_M};
+use super::{Cell, Grid, MAX_PIXELS, TOLERANCE_M};
 use crate::semantic_map::footprint::{Footprint, MAX_CORNERS};
 use crate::semantic_map::schema::Rings;
 
@@ -13,52 +13,39 @@ const JOINING_ROUNDS: usize = 64;
 pub(super) const MAX_LOOKS: usize = 1 << 26;
 
 /// A set of pixels with room around it.
-struct Mask {
-    min: Cell,
-    size: [usize; 2],
-    set: Vec<bool>,
-}
+type Mask = Grid<bool>;
 
 impl Mask {
     /// A mask around the cells with free pixels on each side, unless that takes more than are left.
     fn around(cells: &[Cell], margin: i64, left: &mut usize) -> Option<Self> {
-        let bound = |axis: usize, most: bool| {
-            let values = cells.iter().map(|cell| cell[axis]);
-            if most { values.max() } else { values.min() }.unwrap_or(0)
-        };
-        let min = [bound(0, false) - margin, bound(1, false) - margin];
-        let size = [0, 1].map(|axis| usize::try_from(bound(axis, true) + 1 + margin - min[axis]).unwrap_or(0));
-        *left = left.checked_sub(size[0] * size[1])?;
-        let mut mask = Self { min, size, set: vec![false; size[0] * size[1]] };
-        cells.iter().for_each(|cell| mask.put(*cell));
+        let axis = |axis: usize| cells.iter().map(move |cell| cell[axis]);
+        let min = [0, 1].map(|own| axis(own).min().unwrap_or(0) - margin);
+        let max = [0, 1].map(|own| axis(own).max().unwrap_or(0) + margin);
+        let mut mask = Self::filled(min, max, false, *left).ok()?;
+        *left -= mask.cells.len();
+        cells.iter().for_each(|cell| mask.put(*cell, true));
         Some(mask)
     }
 
-    fn place(&self, [x, y]: Cell) -> Option<usize> {
-        let column = usize::try_from(x - self.min[0]).ok().filter(|column| *column < self.size[0])?;
-        let row = usize::try_from(y - self.min[1]).ok().filter(|row| *row < self.size[1])?;
-        Some(row * self.size[0] + column)
-    }
-
-    fn at(&self, place: usize) -> Cell {
-        [self.min[0] + (place % self.size[0]) as i64, self.min[1] + (place / self.size[0]) as i64]
-    }
-
     fn has(&self, cell: Cell) -> bool {
-        self.place(cell).is_some_and(|place| self.set[place])
+        self.get(cell).unwrap_or(false)
     }
 
-    fn put(&mut self, cell: Cell) {
-        if let Some(place) = self.place(cell) {
-            self.set[place] = true;
+    /// Fills the holes that are no part of the mask's margin, if they are `filled`.
+    fn fill_holes(&mut self, filled: impl Fn(&[Cell]) -> bool) {
+        let corner = self.min;
+        for hole in self.holes().collect::<Vec<_>>() {
+            if !hole.contains(&corner) && filled(&hole) {
+                hole.into_iter().for_each(|cell| self.put(cell, true));
+            }
         }
     }
 
     /// Pieces of the pixels that are not set.
     fn holes(&self) -> impl Iterator<Item = Vec<Cell>> {
-        let mut seen = self.set.clone();
+        let mut seen = self.cells.clone();
         (0..seen.len()).filter_map(move |start| {
-            let is_free = |cell| self.place(cell).filter(|place| !self.set[*place]);
+            let is_free = |cell| self.place(cell).filter(|place| !self.cells[*place]);
             piece(self.at(start), &mut seen, is_free)
         })
     }
@@ -69,14 +56,14 @@ impl Mask {
         let (lines, count, line_step, step) =
             if axis == 0 { (height, width, width, 1) } else { (width, height, 1, width) };
         // Whether one that decides is near: one that is set or, with `all`, one that is not.
-        let mut near = vec![false; self.set.len()];
+        let mut near = vec![false; self.cells.len()];
         for line in 0..lines {
             for back in [false, true] {
                 // How many pixels ago one that decides was.
                 let mut since = if all { 0 } else { reach };
                 for index in 0..count {
                     let place = line * line_step + step * if back { count - 1 - index } else { index };
-                    since = if self.set[place] != all { 0 } else { since + 1 };
+                    since = if self.cells[place] != all { 0 } else { since + 1 };
                     near[place] |= since <= reach;
                 }
             }
@@ -86,26 +73,24 @@ impl Mask {
 
     /// Pixels that are free in slits no wider than twice the reach: set after all were spread and drawn in again.
     fn slits(&self, reach: usize) -> Vec<Cell> {
-        let mut closed = Self { min: self.min, size: self.size, set: self.set.clone() };
+        let mut closed = Self { cells: self.cells.clone(), ..*self };
         for all in [false, true] {
             for axis in [0, 1] {
-                closed.set = closed.spread(axis, reach, all);
+                closed.cells = closed.spread(axis, reach, all);
             }
         }
-        (0..self.set.len())
-            .filter(|place| closed.set[*place] && !self.set[*place])
-            .map(|place| self.at(place))
-            .collect()
+        let is_slit = |place: &usize| closed.cells[*place] && !self.cells[*place];
+        (0..self.cells.len()).filter(is_slit).map(|place| self.at(place)).collect()
     }
 
     /// Fills one of the free pixels wherever two pixels meet at a corner only, so that no outline touches itself.
     fn join_corners(&mut self) {
         // A filled pixel can meet another at its corner; more rounds than a map of rooms needs make a raster of noise a box.
         // After the first round, only where something was filled.
-        let mut looked_at = vec![false; self.set.len()];
+        let mut looked_at = vec![false; self.cells.len()];
         for _ in 0..JOINING_ROUNDS {
             let mut filled = false;
-            for place in 0..self.set.len() {
+            for place in 0..self.cells.len() {
                 if std::mem::replace(&mut looked_at[place], true) {
                     continue;
                 }
@@ -116,7 +101,7 @@ impl Mask {
                     (_, true) => [x, y],
                     _ => continue,
                 };
-                self.put([x, y]);
+                self.put([x, y], true);
                 filled = true;
                 for near in [[x, y], [x - 1, y], [x, y - 1], [x - 1, y - 1]] {
                     if let Some(near) = self.place(near) {
@@ -133,7 +118,7 @@ impl Mask {
     /// The outlines between pixels that are set and others, corners only.
     fn outlines(&self) -> Vec<Vec<Cell>> {
         let mut next: BTreeMap<Cell, Cell> = BTreeMap::new();
-        for (place, _) in self.set.iter().enumerate().filter(|(_, set)| **set) {
+        for (place, _) in self.cells.iter().enumerate().filter(|(_, set)| **set) {
             let [x, y] = self.at(place);
             let [right, left, below, above] = beside([x, y]).map(|cell| self.has(cell));
             // Around the pixel, one way.
@@ -239,18 +224,9 @@ pub(super) fn outlines(
     left: &mut usize,
 ) -> Option<Vec<Vec<Cell>>> {
     let mut mask = Mask::around(largest, 2 * reach as i64 + 1, left)?;
-    let corner = mask.min;
-    for slit in mask.slits(reach) {
-        if [FREE, WALL, mark].contains(&raster.get(slit)) {
-            mask.put(slit);
-        }
-    }
-    for hole in mask.holes().collect::<Vec<_>>() {
-        let of_others = hole.iter().filter(|cell| ![FREE, WALL, mark].contains(&raster.get(**cell))).count();
-        if !hole.contains(&corner) && of_others * 2 <= hole.len() {
-            hole.into_iter().for_each(|cell| mask.put(cell));
-        }
-    }
+    let is_of_others = |cell: &Cell| ![FREE, WALL, mark].contains(&raster.mark(*cell));
+    mask.slits(reach).into_iter().filter(|cell| !is_of_others(cell)).for_each(|cell| mask.put(cell, true));
+    mask.fill_holes(|hole| hole.iter().filter(|cell| is_of_others(cell)).count() * 2 <= hole.len());
     mask.join_corners();
     let mut rings = mask.outlines();
     // The outer one reaches farthest to the left; holes lie within it.
@@ -263,8 +239,8 @@ pub(super) fn outlines(
 pub(in crate::semantic_map::import) fn outline(cells: &[Cell], cell_m: f64) -> Option<Rings> {
     let mut left = MAX_PIXELS;
     let mask = Mask::around(cells, 0, &mut left)?;
-    let mut seen = vec![false; mask.set.len()];
-    let set = |cell| mask.place(cell).filter(|place| mask.set[*place]);
+    let mut seen = vec![false; mask.cells.len()];
+    let set = |cell| mask.place(cell).filter(|place| mask.cells[*place]);
     let largest = cells.iter().filter_map(|cell| piece(*cell, &mut seen, set)).max_by_key(Vec::len)?;
     // A line of cells is a polygon that was drawn on a grid.
     let inner = largest.iter().filter(|cell| beside(**cell).into_iter().all(|near| mask.has(near))).count();
@@ -272,12 +248,7 @@ pub(in crate::semantic_map::import) fn outline(cells: &[Cell], cell_m: f64) -> O
         return None;
     }
     let mut mask = Mask::around(&largest, 1, &mut left)?;
-    let corner = mask.min;
-    for hole in mask.holes().collect::<Vec<_>>() {
-        if !hole.contains(&corner) {
-            hole.into_iter().for_each(|cell| mask.put(cell));
-        }
-    }
+    mask.fill_holes(|_| true);
     mask.join_corners();
     let outer = mask.outlines().into_iter().max_by_key(Vec::len)?;
     let mut looks = MAX_LOOKS;
@@ -318,38 +289,38 @@ mod tests {
         /// Pixel by pixel, as the words have it.
         #[test]
         fn spreading_looks_along_an_axis(cells in prop::collection::vec(any::<bool>(), 9 * 7), reach in 0..4usize, axis in 0..2usize, all: bool) {
-            let mask = Mask { min: [-2, 5], size: [9, 7], set: cells };
+            let mask = Mask { min: [-2, 5], size: [9, 7], cells };
             let step = |at: Cell, by: i64| if axis == 0 { [at[0] + by, at[1]] } else { [at[0], at[1] + by] };
             let decide = |place: usize| {
                 let reach = reach as i64;
                 let mut around = (-reach..=reach).map(|by| mask.has(step(mask.at(place), by)));
                 if all { around.all(|set| set) } else { around.any(|set| set) }
             };
-            prop_assert_eq!(mask.spread(axis, reach, all), (0..mask.set.len()).map(decide).collect::<Vec<_>>());
+            prop_assert_eq!(mask.spread(axis, reach, all), (0..mask.cells.len()).map(decide).collect::<Vec<_>>());
         }
 
         /// As if each round looked at every pixel.
         #[test]
         fn joining_leaves_no_corner(cells in prop::collection::vec(any::<bool>(), 12 * 12)) {
-            let mut mask = Mask { min: [0, 0], size: [12, 12], set: cells };
-            let mut every = Mask { min: mask.min, size: mask.size, set: mask.set.clone() };
+            let mut mask = Mask { min: [0, 0], size: [12, 12], cells };
+            let mut every = Mask { min: mask.min, size: mask.size, cells: mask.cells.clone() };
             mask.join_corners();
             loop {
-                let before = every.set.clone();
-                for place in 0..every.set.len() {
+                let before = every.cells.clone();
+                for place in 0..every.cells.len() {
                     let [x, y] = every.at(place);
                     let [a, b, c, d] = [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]].map(|cell| every.has(cell));
                     if a && d && !b && !c {
-                        every.put([x + 1, y]);
+                        every.put([x + 1, y], true);
                     } else if b && c && !a && !d {
-                        every.put([x, y]);
+                        every.put([x, y], true);
                     }
                 }
-                if every.set == before {
+                if every.cells == before {
                     break;
                 }
             }
-            prop_assert_eq!(mask.set, every.set);
+            prop_assert_eq!(mask.cells, every.cells);
         }
     }
 }

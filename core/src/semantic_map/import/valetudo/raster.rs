@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Cell, EXPECTED, MAX_PIXELS, Runs};
+use super::{Cell, Grid, MAX_PIXELS, Runs, fault};
 use crate::semantic_map::import::ImportError;
 use crate::semantic_map::schema::FARTHEST_M;
 
@@ -11,60 +11,50 @@ pub(super) const FREE: u8 = 0;
 pub(super) const WALL: u8 = u8::MAX;
 
 /// The pixels of a rectangle: [`FREE`], [`WALL`] or the number of a segment, from 1.
-pub(super) struct Raster {
-    min: Cell,
-    size: [usize; 2],
-    pub(super) cells: Vec<u8>,
+pub(super) type Raster = Grid<u8>;
+
+/// The pixels of layers; later layers cover earlier ones.
+pub(super) fn raster(layers: &[(u8, Runs)], pixel_m: f64) -> Result<Raster, ImportError> {
+    let all = || layers.iter().flat_map(|(_, runs)| runs).filter(|(_, count)| *count > 0);
+    let (mut min, mut max) = ([i64::MAX; 2], [i64::MIN; 2]);
+    for &([x, y], count) in all() {
+        min = [min[0].min(x), min[1].min(y)];
+        max = [max[0].max(x + count - 1), max[1].max(y)];
+    }
+    if min[0] > max[0] {
+        return Err(ImportError::NoRooms { remedy: "the layers have no pixels; let the robot map the home first" });
+    }
+    // No map reaches farther, so that tracing it would be for nothing.
+    if let Some(far) = min.into_iter().chain(max).find(|place| (*place as f64 * pixel_m).abs() > FARTHEST_M) {
+        return Err(fault(format!("layers: has pixels at {far}, which lie farther than 10 km from the origin")));
+    }
+    let mut raster = Raster::filled(min, max, FREE, MAX_PIXELS).map_err(|[width, height]| {
+        fault(format!("layers: the map is {width} x {height} pixels, more than {MAX_PIXELS} in all"))
+    })?;
+    for (mark, runs) in layers {
+        for &([x, y], count) in runs {
+            (x..x + count).for_each(|x| raster.put([x, y], *mark));
+        }
+    }
+    Ok(raster)
 }
 
 impl Raster {
-    pub(super) fn new(layers: &[(u8, Runs)], pixel_m: f64) -> Result<Self, ImportError> {
-        let fault = |message: String| ImportError::Json { element: "layers".to_owned(), message, expected: EXPECTED };
-        let all = || layers.iter().flat_map(|(_, runs)| runs).filter(|(_, count)| *count > 0);
-        let (mut min, mut max) = ([i64::MAX; 2], [i64::MIN; 2]);
-        for &([x, y], count) in all() {
-            min = [min[0].min(x), min[1].min(y)];
-            max = [max[0].max(x + count - 1), max[1].max(y)];
-        }
-        if min[0] > max[0] {
-            return Err(ImportError::NoRooms { remedy: "the layers have no pixels; let the robot map the home first" });
-        }
-        // No map reaches farther, so that tracing it would be for nothing.
-        if let Some(far) = min.into_iter().chain(max).find(|place| (*place as f64 * pixel_m).abs() > FARTHEST_M) {
-            return Err(fault(format!("has pixels at {far}, which lie farther than 10 km from the origin")));
-        }
-        let size = [0, 1].map(|axis| usize::try_from(max[axis] - min[axis] + 1).unwrap_or(usize::MAX));
-        let count = size[0].checked_mul(size[1]).filter(|count| *count <= MAX_PIXELS).ok_or_else(|| {
-            fault(format!("the map is {} x {} pixels, more than {MAX_PIXELS} in all", size[0], size[1]))
-        })?;
-        let mut raster = Self { min, size, cells: vec![FREE; count] };
-        for (mark, runs) in layers {
-            for &([x, y], count) in runs {
-                for x in x..x + count {
-                    if let Some(place) = raster.place([x, y]) {
-                        raster.cells[place] = *mark;
-                    }
-                }
-            }
-        }
-        Ok(raster)
+    pub(super) fn mark(&self, cell: Cell) -> u8 {
+        self.get(cell).unwrap_or(FREE)
     }
 
-    pub(super) fn place(&self, [x, y]: Cell) -> Option<usize> {
-        let column = usize::try_from(x - self.min[0]).ok().filter(|column| *column < self.size[0])?;
-        let row = usize::try_from(y - self.min[1]).ok().filter(|row| *row < self.size[1])?;
-        Some(row * self.size[0] + column)
-    }
-
-    pub(super) fn get(&self, cell: Cell) -> u8 {
-        self.place(cell).map_or(FREE, |place| self.cells[place])
+    /// The pixels of segments, each with its mark.
+    fn marked(&self) -> impl Iterator<Item = (Cell, u8)> {
+        let marks = self.cells.iter().enumerate().filter(|(_, mark)| ![FREE, WALL].contains(mark));
+        marks.map(|(place, mark)| (self.at(place), *mark))
     }
 
     /// Per segment its largest piece, and how many pixels it has in all.
     pub(super) fn largest_pieces(&self) -> BTreeMap<u8, (Vec<Cell>, usize)> {
         let mut seen = vec![false; self.cells.len()];
         let mut largest = BTreeMap::<u8, (Vec<Cell>, usize)>::new();
-        for (start, mark) in self.cells().filter(|(_, mark)| ![FREE, WALL].contains(mark)) {
+        for (start, mark) in self.marked() {
             let own = |cell| self.place(cell).filter(|place| self.cells[*place] == mark);
             let Some(piece) = piece(start, &mut seen, own) else { continue };
             let (best, count) = largest.entry(mark).or_default();
@@ -74,12 +64,6 @@ impl Raster {
             }
         }
         largest
-    }
-
-    pub(super) fn cells(&self) -> impl Iterator<Item = (Cell, u8)> {
-        let [x, y] = self.min;
-        let at = move |place: usize| [x + (place % self.size[0]) as i64, y + (place / self.size[0]) as i64];
-        self.cells.iter().enumerate().map(move |(place, mark)| (at(place), *mark))
     }
 }
 
@@ -102,10 +86,10 @@ pub(super) fn piece(start: Cell, seen: &mut [bool], place_of: impl Fn(Cell) -> O
 /// Where segments lie side by side without a wall between: per two of them, the pixels there.
 pub(super) fn contacts(raster: &Raster, gap: i64) -> BTreeMap<(u8, u8), Vec<Cell>> {
     let mut contacts: BTreeMap<(u8, u8), Vec<Cell>> = BTreeMap::new();
-    for ([x, y], mark) in raster.cells().filter(|(_, mark)| ![FREE, WALL].contains(mark)) {
+    for ([x, y], mark) in raster.marked() {
         for [right, down] in [[1, 0], [0, 1]] {
             for step in 1..=gap + 1 {
-                match raster.get([x + step * right, y + step * down]) {
+                match raster.mark([x + step * right, y + step * down]) {
                     FREE => {}
                     WALL => break,
                     other => {
