@@ -17,7 +17,7 @@ use sd_notify::NotifyState;
 
 use crate::clock;
 use crate::config::{IntakeLimits, NarratorConfig};
-pub use crate::line::{Faults, InputError, Item, LineError, Who, WhoError, line_item};
+pub use crate::line::{Faults, InputError, Item, Who, line_item};
 use crate::line::{LINE_BYTES_MAX, item_by};
 use crate::logging::Limiter;
 use crate::notify::notify;
