@@ -69,47 +69,26 @@ impl Item {
 #[non_exhaustive]
 pub enum InputError {
     /// It cannot be read.
-    #[error("cannot read {name}: {source}")]
-    Read {
-        /// The file, or "standard input".
-        name: String,
-        /// The system's error.
-        source: io::Error,
-    },
+    #[error("cannot read {0}: {1}")]
+    Read(String, #[source] io::Error),
     /// Neither a file nor the name of an included activity program.
     #[error(
-        "there is no file {name}: give a program's file, a file of lines, or an included program by its name, {}",
-        embedded::program_names()
+        "there is no file {0}: give a program's file, a file of lines, or an included program by its name, {names}",
+        names = embedded::program_names()
     )]
-    Missing {
-        /// The given path.
-        name: String,
-    },
+    Missing(String),
     /// The path of the FIFO is another kind of file.
-    #[error("{path} is there and is no named pipe: remove it, give another path, or leave out --fifo to read it once")]
-    NoFifo {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("{0} is there and is no named pipe: remove it, give another path, or leave out --fifo to read it once")]
+    NoFifo(PathBuf),
     /// A FIFO cannot be created.
-    #[error("cannot make the named pipe {path}: {source}; give --fifo a path in a folder of your own")]
-    MakeFifo {
-        /// The path.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    #[error("cannot make the named pipe {0}: {1}; give --fifo a path in a folder of your own")]
+    MakeFifo(PathBuf, #[source] io::Error),
     /// The program is malformed.
     #[error(transparent)]
     Program(#[from] TextError),
     /// A line is not a narration.
-    #[error("line {line}: {source}")]
-    Line {
-        /// The number of the line, from 1.
-        line: u64,
-        /// The fault.
-        source: TextError,
-    },
+    #[error("line {0}: {1}")]
+    Line(u64, #[source] TextError),
 }
 
 /// Lines that are not narrations: their count, and the texts of the first faults. The memory is bounded.

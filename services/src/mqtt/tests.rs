@@ -546,7 +546,7 @@ fn malformed_rules_are_named() {
             "unknown word `home`, expected one of `present`, `away`, `gone`, `empty`",
         ),
         ("[[rule]]\ntopic = \"a\"\npresence = \"empty\"", "rule 1: presence = \"empty\" says that nobody"),
-        ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nperson = -1", "expected a person's number"),
+        ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nperson = -1", "`-1` is no person"),
         ("[[rule]]\ntopic = \"a\"", "rule 1: give say, presence or the state"),
         ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nfield = \"state\"", "JSON pointer"),
         ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nwhen = \"on\"\nunless = [\"off\"]", "rule 1: when and unless exclude"),
