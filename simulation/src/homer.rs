@@ -85,7 +85,7 @@ impl Day {
             }
         }
         if actions.is_empty() {
-            return Err(TextError("the day has no action: add lines such as `[WALK] <kitchen> (1)`".into()));
+            return Err(TextError("the day has no step: add lines such as `[WALK] <kitchen> (1)`".into()));
         }
         if let Some(line) = untimed {
             return Err(without_time(line));

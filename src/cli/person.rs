@@ -8,7 +8,7 @@ use roomcast_ipc::raw::narration_kind;
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;
 use crate::flags::plain;
-use roomcast_core::narration::{Event, ReadName, check_name};
+use roomcast_core::narration::{Event, ReadName, TextError, check_name};
 use roomcast_core::text::{did_you_mean, odd_name, visible};
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion};
 use roomcast_services::habits_reason::ELSEWHERE;

@@ -93,7 +93,7 @@ impl House {
         self.step(Some(Entry::new(observation, BootNs(self.now_ns))));
     }
 
-    /// Steps such as `5 Ada: They sit.`, with ` | ` between them; without a name, of somebody.
+    /// Plays steps such as `5 Ada: They sit.`, with ` | ` between them. A step without a name has an unknown person.
     fn play(&mut self, steps: &str) {
         for step in steps.split(" | ") {
             let (head, text) = step.trim().split_once(": ").unwrap();
@@ -302,7 +302,7 @@ fn gone_visitors_are_reported_once_and_then_forgotten() {
     assert_eq!(house.presence("olaf"), Some(presence::GONE));
     house.restart();
     assert_eq!(house.presence("olaf"), None);
-    // A visitor who was reported hours late may sleep here.
+    // A visitor with a report of hours ago may sleep here.
     let lies = house.observation("guest", "They lie on the bed.");
     house.now_ns += 8 * 3600 * S;
     house.enter(lies);

@@ -55,8 +55,8 @@ impl Flat {
         self.0.enter(observation);
     }
 
-    /// Steps with ` | ` between them: `60 kitchen on` of a device, `60` of silence, those of [`House::play`], and demands: `? Jon away` and
-    /// `? Jon kitchen > .5`, of "somebody" and "nobody" too.
+    /// Plays steps with ` | ` between them: `60 kitchen on` of a device, `60` of silence, and those of [`House::play`]. `? Jon away` and
+    /// `? Jon kitchen > .5` demand a presence and a belief; "somebody" and "nobody" stand for the whole home.
     fn play(&mut self, steps: &str) {
         for step in steps.split(" | ") {
             match step.split(' ').collect::<Vec<_>>()[..] {
