@@ -13,7 +13,6 @@ SHELL := /usr/bin/env bash
 export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 TARGET := $(or $(CARGO_TARGET_DIR),target)
 VENV := $(TARGET)/python
-HOME_ASSISTANT := $(TARGET)/home-assistant
 ROUTER := $(TARGET)/zenoh
 TESTS := --release --locked --workspace --features full
 ZENOH := --release --locked --manifest-path zenoh/Cargo.toml --target-dir $(abspath $(TARGET))
@@ -108,19 +107,9 @@ nightly: setup ## An hour of faults by seed: simulation, killed processes, faili
 	ROOMCAST_FLEET_CYCLES=300 ROOMCAST_FLEET_SEED=$$(date +%j) ROOMCAST_FLEET_CUT_S=60 cargo test $(ZENOH) --test it fleet:: -- --nocapture || code=1; \
 	exit $$code
 
-# Home Assistant 2024.3.3 is the last for Python 3.11; at its first start it installs what its parts need.
 .PHONY: test-home
-test-home: setup ## The test with a real Home Assistant, which it installs first: some minutes, 700 MB, Python 3.11.
-	@if ! command -v python3.11 >/dev/null; then \
-	    echo "SKIPPED a_real_home_assistant_is_imported_narrated_told_and_left_clean: Python 3.11 is not installed"; \
-	    exit 0; \
-	fi; \
-	if [ ! -x $(HOME_ASSISTANT)/bin/hass ] && ! { python3.11 -m venv $(HOME_ASSISTANT) && \
-	    $(HOME_ASSISTANT)/bin/python -m pip install --quiet --disable-pip-version-check 'homeassistant==2024.3.3' 'paho-mqtt==1.6.1' 'josepy<2'; }; then \
-	    echo "SKIPPED a_real_home_assistant_is_imported_narrated_told_and_left_clean: Home Assistant cannot be installed from PyPI (no network?)"; \
-	    exit 0; \
-	fi; \
-	ROOMCAST_HOME_ASSISTANT=$(abspath $(HOME_ASSISTANT))/bin/hass cargo test --release --locked --workspace --features full --test it home_assistant:: -- --ignored --nocapture
+test-home: setup ## The test with a real Home Assistant, 2024.3.3 and the newest, which it installs first: minutes, 2 GB, Python 3.11 and 3.14.
+	@.ci/test-home
 
 # Each fault compiles the crates above it again, so this takes long.
 .PHONY: faults

@@ -67,7 +67,7 @@ pub fn plain(flag: &str) -> &str {
     match flag {
         "asleep" => "probably asleep",
         "behind" => "scores lag behind the narration",
-        "by-fit" => "person guessed, the text gave no name",
+        "by-fit" => "person guessed by place and time",
         "covered" => "all rooms done",
         "daemon-silent" => "the daemon is silent",
         "deadline" => "last chance before the deadline",

@@ -1,7 +1,7 @@
 //! A second model's scores of a person's next thing, for guesses at the next sentence ([`crate::guess`]).
 //!
 //! A small model that was trained on household activities may predict the next thing better than a large general one, in a hundredth of its time.
-//! Both have the same weight. Only guesses use it: all published scores come from the pipeline's own model.
+//! The probabilities of both models have the same weight. Only guesses use the second model: all published scores come from the pipeline's own model.
 
 use std::sync::Arc;
 

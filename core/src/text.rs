@@ -5,6 +5,8 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
+use strsim::osa_distance;
+
 /// Reads a file. `None` if it has more than `bytes_max` bytes. The limit applies while reading, because a device or a pipe has no size.
 ///
 /// # Errors
@@ -24,12 +26,14 @@ pub fn count(number: usize, noun: &str) -> String {
     format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }
 
-/// The known word that a misspelt one resembles most, if at most a third of its letters must change.
+/// The known word that a misspelt one resembles most, if at most a third of its letters must change. Only letters and digits are compared.
 ///
 /// ```
 /// use roomcast_core::text::nearest;
 ///
 /// assert_eq!(nearest("ktchen", ["kitchen", "hall"]), Some("kitchen"));
+/// assert_eq!(nearest("roomtime", ["room_time_s", "quiet"]), Some("room_time_s"));
+/// assert_eq!(nearest("quite", ["room_time_s", "quiet"]), Some("quiet"));
 /// assert_eq!(nearest("garden", ["kitchen", "hall"]), None);
 /// ```
 #[must_use]
@@ -38,31 +42,16 @@ pub fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Opti
     if word.len() > 48 {
         return None;
     }
-    let (distance, best) = known.into_iter().map(|known| (edit_distance(word, known), known)).min()?;
-    (3 * distance <= word.chars().count()).then_some(best)
+    let letters = |text: &str| text.chars().filter(|letter| letter.is_alphanumeric()).collect::<String>();
+    let meant = letters(word);
+    let (distance, best) = known.into_iter().map(|known| (osa_distance(&meant, &letters(known)), known)).min()?;
+    (3 * distance <= meant.chars().count()).then_some(best)
 }
 
 /// As [`nearest`], as the end of an error: "; did you mean `kitchen`?", or nothing.
 #[must_use]
 pub fn did_you_mean<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     nearest(word, known).map_or_else(String::new, |known| format!("; did you mean `{known}`?"))
-}
-
-/// The number of letters to insert, remove or replace between two texts.
-#[must_use]
-pub fn edit_distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, y) in b.iter().enumerate() {
-            let replaced = diagonal + usize::from(x != *y);
-            diagonal = row[j + 1];
-            row[j + 1] = replaced.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
 }
 
 #[must_use]

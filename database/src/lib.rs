@@ -372,7 +372,7 @@ impl Database {
         let busy: i64 =
             self.connection()?.query_row(&format!("PRAGMA wal_checkpoint({mode})"), [], |row| row.get(0))?;
         if busy != 0 && mode == "TRUNCATE" {
-            return Err(refused("another program reads the database: end it, and ask again"));
+            return Err(sqlite_error(rusqlite::ffi::SQLITE_BUSY, "another program reads the database"));
         }
         Ok(())
     }

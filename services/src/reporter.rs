@@ -108,11 +108,14 @@ pub enum ReporterError {
         remedy: &'static str,
     },
     /// A report of this kind must not have `for_s`.
-    #[error("a report of the kind {kind} has no `for_s`: give it with hold, 1 to 1000000000 seconds")]
+    #[error("a report of the kind {kind} has no `for_s`: give it with hold")]
     NoHold {
         /// The kind.
         kind: Kind,
     },
+    /// The time of a hold is outside its limits.
+    #[error("`for_s` of a hold is {0}: give 1 to 1000000000 seconds")]
+    HoldTime(f64),
     /// The contract rejects a value.
     #[error("the report is refused: {0}")]
     Message(#[from] MessageError),
@@ -186,9 +189,11 @@ impl Reporter {
                 return missing("position", "give [x, y, z] in the map's metres, or a room");
             }
             Kind::Clean | Kind::Skip if report.room.is_none() => return missing("room", "give the id of a room"),
-            kind if report.for_s.is_some_and(|for_s| kind != Kind::Hold || !(1.0..=1e9).contains(&for_s)) => {
-                return Err(ReporterError::NoHold { kind });
-            }
+            _ => {}
+        }
+        match report.for_s {
+            Some(_) if report.kind != Kind::Hold => return Err(ReporterError::NoHold { kind: report.kind }),
+            Some(for_s) if !(1.0..=1e9).contains(&for_s) => return Err(ReporterError::HoldTime(for_s)),
             _ => {}
         }
         let flag = |given: bool, flag| if given { flag } else { 0 };

@@ -44,10 +44,34 @@ pub fn summed(name: &str, text: &str) -> String {
     }
 }
 
+/// A room's name for people. An imported map gives each room a number ("hallway-17"), which stays only if another room has the same words.
+#[must_use]
+pub fn room_name<'a>(id: &str, rooms: impl Iterator<Item = &'a str>) -> String {
+    let stem = |id: &'a str| without_number(id);
+    let own = without_number(id);
+    let is_shared = rooms.filter(|other| *other != id).map(stem).any(|other| other == own);
+    if is_shared { id } else { own }.replace('-', " ")
+}
+
+fn without_number(id: &str) -> &str {
+    let is_number = |number: &str| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit());
+    match id.rsplit_once('-') {
+        Some((stem, number)) if is_number(number) && !stem.is_empty() => stem,
+        _ => id,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::collections::HashSet;
+
+    #[test]
+    fn rooms_have_their_number_in_a_name_only_beside_a_room_of_the_same_words() {
+        let rooms = ["hallway-17", "bedroom-1", "bedroom-2", "office", "office-3", "living-room", "-5", "wing-b"];
+        let names = rooms.map(|id| room_name(id, rooms.into_iter()));
+        assert_eq!(names, ["hallway", "bedroom 1", "bedroom 2", "office", "office 3", "living room", " 5", "wing b"]);
+    }
 
     #[test]
     fn odd_names_are_safe_and_stay_apart() {

@@ -47,7 +47,7 @@ mod tests {
             for offered in ["latency", "scene", "deadline-ms", "version", "shared-prefix"] {
                 assert!(script.contains(offered), "{shell}: {offered} is missing");
             }
-            for hidden in ["latency-end", "rehearse", "no-model"] {
+            for hidden in ["measured-end", "rehearse", "no-model"] {
                 assert!(!script.contains(hidden), "{shell}: {hidden} is offered");
             }
         }

@@ -60,7 +60,7 @@ pub struct Args {
     json: bool,
 }
 
-/// Arguments of `roomcast latency-end`, which a measurement starts.
+/// Arguments of `roomcast measured-end`, which a measurement starts.
 #[derive(Debug, clap::Args)]
 pub struct EndArgs {
     /// Answer over this yardstick's path; by default keep every core busy.
@@ -126,6 +126,7 @@ impl From<LatencyError> for Failure {
 }
 
 pub fn run(args: &Args) -> CommandResult {
+    let sentences = sentences(args.sentences.as_deref())?;
     let stop = service::stop()?;
     let scorers: &[&str] = match args.scorer {
         Scorer::Model => &["model"],
@@ -142,7 +143,7 @@ pub fn run(args: &Args) -> CommandResult {
     let mut rows = Vec::new();
     for scorer in scorers {
         for load in loads {
-            let measured = measure(args, scorer, load, &stop, &progress);
+            let measured = measure(args, (scorer, load), &sentences, &stop, &progress);
             if stop.requested() {
                 return Err(Failure::new(exit_code::INTERRUPTED, "interrupted; everything is cleaned up"));
             }
@@ -163,7 +164,7 @@ pub fn run_end(args: &EndArgs) -> CommandResult {
         return Ok(());
     };
     let (_, domain) = args.service.load()?;
-    let node = domain.open("roomcast-latency-end").map_err(|error| Failure::new(exit_code::IPC, error))?;
+    let node = domain.open("roomcast-measured-end").map_err(|error| Failure::new(exit_code::IPC, error))?;
     Ok(latency::echo(path, &node, &stop)?)
 }
 
@@ -177,8 +178,8 @@ impl Args {
 /// One scorer under one load: first scores, then decisions, each with the yardsticks. The second part's yardsticks are dropped.
 fn measure(
     args: &Args,
-    scorer: &'static str,
-    load: &'static str,
+    kind: (&'static str, &'static str),
+    sentences: &[String],
     stop: &Stop,
     progress: &Progress,
 ) -> Result<Vec<Row>, Failure> {
@@ -190,7 +191,7 @@ fn measure(
     let prepare = args.prepare.map(|prepare| format!("[scoring]\nprepare = {prepare}\n")).unwrap_or_default();
     stage.configure(&format!("[ipc]\nspin_us = {}\n{prepare}", args.spin))?;
     let node = domain.open("roomcast-latency").map_err(ipc)?;
-    let result = on_stage(args, scorer, load, &mut stage, &node, stop, progress);
+    let result = on_stage(args, kind, sentences, (&mut stage, &node), stop, progress);
     // The node must be dropped before the domain can be removed.
     drop(node);
     // If a process has ended, its own error is clearer.
@@ -202,10 +203,9 @@ fn measure(
 
 fn on_stage(
     args: &Args,
-    scorer: &'static str,
-    load: &'static str,
-    stage: &mut Stage,
-    node: &Node,
+    (scorer, load): (&'static str, &'static str),
+    sentences: &[String],
+    (stage, node): (&mut Stage, &Node),
     stop: &Stop,
     progress: &Progress,
 ) -> Result<Vec<Row>, Failure> {
@@ -221,10 +221,9 @@ fn on_stage(
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
     wait_for(stage, stop, || scores.newest().map(|scores| scores.is_some()).map_err(ipc))?;
     if load == "busy" {
-        stage.start("latency-end", &[])?;
+        stage.start("measured-end", &[])?;
     }
-    let sentences = sentences(args.sentences.as_deref())?;
-    probes.push(Probe::Scores(Narrator::new(node, "latency", &sentences)?, scores));
+    probes.push(Probe::Scores(Narrator::new(node, "latency", sentences)?, scores));
     let pause = Duration::from_millis(args.pause);
     let take = |probes: &mut Vec<Probe>| {
         latency::interleaved(probes, args.samples, args.warm_up(), pause, stop, || progress.measured())
@@ -242,7 +241,7 @@ fn on_stage(
     // The planner replaces the scores' subscriber: each path wakes only its own processes.
     let narrator = match probes.pop() {
         Some(Probe::Scores(narrator, _)) => narrator,
-        _ => Narrator::new(node, "latency-decision", &sentences)?,
+        _ => Narrator::new(node, "latency-decision", sentences)?,
     };
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
     stage.start("planner", &["--room-time".into(), "0".into()])?;
@@ -260,12 +259,12 @@ fn on_stage(
 fn yardsticks(stage: &mut Stage, node: &Node) -> Result<Vec<Probe>, Failure> {
     let echo = |path: &str| ["--echo".into(), path.into()];
     let (counters, input, output) = Probe::eventfd()?;
-    stage.start_with("latency-end", &echo("eventfd"), Stdio::from(input), Stdio::from(output))?;
+    stage.start_with("measured-end", &echo("eventfd"), Stdio::from(input), Stdio::from(output))?;
     let (socket, there) = Probe::unix_socket()?;
-    stage.start_with("latency-end", &echo("unix-socket"), Stdio::from(there), Stdio::null())?;
+    stage.start_with("measured-end", &echo("unix-socket"), Stdio::from(there), Stdio::null())?;
     // The sender of requests must exist before its listener.
     let bare = Probe::bare_iceoryx2(node)?;
-    stage.start("latency-end", &echo("bare-iceoryx2"))?;
+    stage.start("measured-end", &echo("bare-iceoryx2"))?;
     Ok(vec![counters, socket, bare])
 }
 
@@ -343,9 +342,9 @@ fn print(rows: &[Row]) -> CommandResult {
         ]);
     }
     super::print(&format!(
-        "{table}\nRound trips between processes, in microseconds, one sample of each path in turn: a narration there, scores or a \
-         decision\nback; the yardsticks carry the same sizes and do nothing in between. Decisions are measured after the scores: if more \
-         of\ntheir scores are prepared by then, decisions come sooner than the scores above.\n"
+        "{table}\nRound trips between processes, in microseconds: a narration there, scores or a decision back. The yardsticks carry the \
+         same\nsizes and do nothing in between. A first part takes scores and yardsticks in turn, a second part decisions; what the daemon \
+         has\nprepared by then makes decisions come sooner than the scores above.\n"
     ))
 }
 

@@ -145,10 +145,10 @@ enum Command {
     /// The parts run as processes, as in a home.
     #[cfg(feature = "latency")]
     Latency(latency::Args),
-    /// The other end of a measurement of `latency`, which starts it.
+    /// The other end of a measurement of `latency`, which starts it. Suggestions for a misspelt `latency` would name it if it began so.
     #[command(hide = true)]
     #[cfg(feature = "latency")]
-    LatencyEnd(latency::EndArgs),
+    MeasuredEnd(latency::EndArgs),
     /// Write the manual pages.
     #[cfg(feature = "manuals")]
     Man(man::Args),
@@ -282,7 +282,7 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "latency")]
         Command::Latency(args) => latency::run(&args),
         #[cfg(feature = "latency")]
-        Command::LatencyEnd(args) => latency::run_end(&args),
+        Command::MeasuredEnd(args) => latency::run_end(&args),
         #[cfg(feature = "manuals")]
         Command::Man(args) => man::run(&args),
         #[cfg(feature = "metrics")]

@@ -105,13 +105,14 @@ impl Stage {
             let (command, child) = &mut self.children[number];
             let Ok(Some(status)) = child.try_wait() else { continue };
             let command = *command;
-            if command == "narrate" && status.success() {
+            if matches!(command, "narrate" | "measured-end") && status.success() {
                 continue;
             }
             let said = std::fs::read_to_string(log).unwrap_or_default();
             let last: Vec<&str> = said.lines().rev().take(5).collect();
             let said = last.into_iter().rev().collect::<Vec<_>>().join("\n");
-            let code = status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(exit_code::FAILURE);
+            let code = status.code().and_then(|code| u8::try_from(code).ok()).filter(|code| *code > 0);
+            let code = code.unwrap_or(exit_code::FAILURE);
             return Err(Failure::new(code, format!("`roomcast {command}` ended ({status}):\n{said}")));
         }
         Ok(())

@@ -11,7 +11,7 @@ use roomcast_ipc::{Action, Presence, sequence};
 use serde_json::{Value, json};
 
 use super::discovery::Discovery;
-use super::names::{AWAY, Named, of_person, of_robot, of_room, room_name, unnamed_person, unnamed_robot};
+use super::names::{AWAY, Named, of_person, of_robot, of_room, unnamed_person, unnamed_robot};
 use super::outbox::Picture;
 use crate::flags::{decision_flag_names, forecast_flag_names};
 use crate::robot_place::{Place, Places};
@@ -19,6 +19,7 @@ use roomcast_services::config::BridgeConfig;
 use roomcast_services::narrator::Who;
 use roomcast_services::participant::PLANNER;
 use roomcast_services::planner::Planner;
+use roomcast_services::slug::room_name;
 
 /// Most robots: the configured one, and as many as `roomcast-zenoh` follows. If there are more, the one with the oldest decision is dropped.
 pub(super) const ROBOTS_MAX: usize = 16;

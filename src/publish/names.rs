@@ -22,22 +22,6 @@ pub(super) fn of_room(id: &str) -> String {
     if id.starts_with(PERSON) { summed(id, id) } else { slug(id) }
 }
 
-/// A room's name for people. An imported map gives each room a number ("hallway-17"), which stays only if another room has the same words.
-pub(super) fn room_name<'a>(id: &str, rooms: impl Iterator<Item = &'a str>) -> String {
-    let stem = |id: &'a str| without_number(id);
-    let own = without_number(id);
-    let is_shared = rooms.filter(|other| *other != id).map(stem).any(|other| other == own);
-    if is_shared { id } else { own }.replace('-', " ")
-}
-
-fn without_number(id: &str) -> &str {
-    let is_number = |number: &str| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit());
-    match id.rsplit_once('-') {
-        Some((stem, number)) if is_number(number) && !stem.is_empty() => stem,
-        _ => id,
-    }
-}
-
 /// A person's part of topics and ids; without a name, only from the number.
 pub(super) fn of_person(number: u32, name: &str) -> String {
     if name.is_empty() {
@@ -98,13 +82,6 @@ mod tests {
     #[test]
     fn times_ahead_are_words() {
         assert_eq!([30.0, 60.0, 90.0, 600.0, 3600.0].map(ahead), ["30 s", "1 min", "90 s", "10 min", "1 h"]);
-    }
-
-    #[test]
-    fn rooms_have_their_number_in_a_name_only_beside_a_room_of_the_same_words() {
-        let rooms = ["hallway-17", "bedroom-1", "bedroom-2", "office", "office-3", "living-room", "-5", "wing-b"];
-        let names = rooms.map(|id| room_name(id, rooms.into_iter()));
-        assert_eq!(names, ["hallway", "bedroom 1", "bedroom 2", "office", "office 3", "living room", " 5", "wing b"]);
     }
 
     /// Automations of users contain these names.

@@ -121,7 +121,7 @@ fn page() -> String {
             ("events that the daemon can explain to narrators", &daemon::UNDERSTOOD_MAX, "the oldest is forgotten"),
             ("numbers that a source skips at once", &sequence::JUMP_MAX, "dropped and counted"),
             (
-                "seconds that the daemon waits for a relayed narrator's events above its rate",
+                "seconds that the daemon waits until a relayed narrator sends its events above the rate again",
                 &HELD_S,
                 "counted as missed",
             ),

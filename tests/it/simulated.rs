@@ -1838,7 +1838,7 @@ impl World {
         let Some(decision) = robot.planner.decide(BootNs(clock_ns), UnixNs(clock_ns)).unwrap() else { return Ok(()) };
         // After a restart the planner repeats its decision as soon as there are scores.
         let nothing_yet = robot.last.is_none_or(|last| last.has(decision_flags::FALLBACK));
-        let asks = ["goes on", "asks what became of"].iter().any(|asks| decision.reason().starts_with(asks));
+        let asks = ["Goes on", "Asks what became of"].iter().any(|asks| decision.reason().starts_with(asks));
         let again = nothing_yet && asks;
         let given_up = decision.has(decision_flags::ROBOT_SILENT | decision_flags::INTERRUPTED);
         ensure(free || again || given_up || decision.cancels != 0, || {

@@ -60,7 +60,7 @@ pub(super) fn is_moving(place: Place) -> bool {
     visibility(place) == 3
 }
 
-/// Share of stays that motion sensors miss; and of stays in a bedroom.
+/// Share of the stays in which a motion sensor does not see the person: in most rooms, and in a bedroom.
 const STILL: (f64, f64) = (0.12, 0.4);
 
 /// Rates of one person. Habits, the hour and the language model's forecast supply them; [`Movement::usual`] is the default.
@@ -261,7 +261,7 @@ pub(super) fn level_of(seconds: f64) -> usize {
     (1..LEVELS).rev().find(|level| step_s(*level) <= seconds).unwrap_or(0)
 }
 
-/// Length of a level's step in seconds.
+/// The seconds that one step of a level covers. Each level covers twice the time of the level before.
 pub(super) fn step_s(level: usize) -> f64 {
     STEP_S * f64::from(1u32 << level)
 }

@@ -114,10 +114,15 @@ impl TryFrom<String> for QuietHours {
             if !is_all && rooms.iter().any(String::is_empty) {
                 return None;
             }
+            let (from_min, to_min) = (minute(from)? % DAY_MIN, minute(to)? % DAY_MIN);
+            // A whole day is 00:00-24:00. Other equal hours are a mistake.
+            if from_min == to_min && from_min != 0 {
+                return None;
+            }
             Some(Self {
                 days: on.map_or(Some([true; 7]), days)?,
-                from_min: minute(from)? % DAY_MIN,
-                to_min: minute(to)? % DAY_MIN,
+                from_min,
+                to_min,
                 rooms: if is_all { Vec::new() } else { rooms },
             })
         };
@@ -224,6 +229,7 @@ mod tests {
             "24:01-07:00",
             "22:60-07:00",
             "someday 22:00-07:00",
+            "15:00-15:00",
             "22:00-07:00 in ,",
             "+2:00-07:00",
         ] {

@@ -23,7 +23,7 @@ use roomcast_core::prompt::{BINDING_BYTES_MAX, BindingSequence};
 use roomcast_core::scorer::certified::Effort;
 use roomcast_core::scorer::correction::{Continuation, PRIOR_WEIGHTS};
 use roomcast_core::scorer::{Method, Tokenisation};
-use roomcast_core::text::{excerpt, read_text_at_most};
+use roomcast_core::text::{count, excerpt, read_text_at_most};
 use roomcast_llama::{CacheType, LlamaOptions, SEQUENCES_MAX, THREADS_MAX};
 
 use crate::embedded;
@@ -70,7 +70,7 @@ const JOURNAL_BYTES_MIN: u64 = 8192;
 #[non_exhaustive]
 pub enum ConfigError {
     /// The file cannot be read.
-    #[error("failed to read the configuration {path}: {source}; `roomcast config > FILE` makes one")]
+    #[error("failed to read the configuration {path}: {source}{}", if source.kind() == std::io::ErrorKind::NotFound { "; `roomcast config > FILE` makes one" } else { "" })]
     Read {
         /// The file.
         path: PathBuf,
@@ -84,12 +84,12 @@ pub enum ConfigError {
         path: PathBuf,
     },
     /// The text is not TOML, or has an unknown key or a value of the wrong kind.
-    #[error("the configuration {path} has a fault: {}\nsee `roomcast config` for every key with its default", toml_says(.error))]
+    #[error("the configuration {path} has {}:\n{}\nsee `roomcast config` for every key with its default", count(faults.len(), "fault"), faults.join("\n"))]
     Parse {
         /// The file.
         path: PathBuf,
-        /// The fault, with line and column. It is not a `source`, which would print the parser's message twice.
-        error: Box<toml::de::Error>,
+        /// The faults, with line and column.
+        faults: Vec<String>,
     },
     /// A value outside its limits.
     #[error("the configuration's {key} is {value}: {remedy}")]
@@ -368,6 +368,40 @@ impl std::str::FromStr for Config {
     }
 }
 
+/// Most faults of a text that an error names.
+const FAULTS_MAX: usize = 20;
+
+/// The faults of a text that is no configuration. The parser stops at its first one; without the lines of that fault it finds the next.
+fn faults_of(mut text: String, first: toml::de::Error) -> Vec<String> {
+    let mut faults = vec![toml_says(&first)];
+    let mut last = first;
+    // What a text means after a fault of TOML itself is a guess.
+    let is_toml = text.parse::<toml::Table>().is_ok();
+    while let Some(span) = last.span().filter(|_| is_toml && faults.len() < FAULTS_MAX) {
+        without_lines(&mut text, span);
+        match text.parse::<Config>() {
+            Err(error) if error.span() != last.span() => {
+                faults.push(toml_says(&error));
+                last = error;
+            }
+            _ => break,
+        }
+    }
+    faults
+}
+
+/// Empties the lines of a span, and with the head of a section the section. The other lines keep their numbers.
+fn without_lines(text: &mut String, span: std::ops::Range<usize>) {
+    let begin = text[..span.start].rfind('\n').map_or(0, |at| at + 1);
+    let next = |from: usize, what: &str| text[from..].find(what).map_or(text.len(), |at| from + at);
+    let end = match text[begin..].trim_start().starts_with('[') {
+        true => next(span.start, "\n["),
+        false => next(span.end.max(begin), "\n"),
+    };
+    let lines = text[begin..end].matches('\n').count();
+    text.replace_range(begin..end, &"\n".repeat(lines));
+}
+
 impl Config {
     /// Reads and checks a configuration file. Relative paths in it start at its folder.
     ///
@@ -389,8 +423,9 @@ impl Config {
             std::io::ErrorKind::FileTooLarge => ConfigError::TooLarge { path: path.to_owned() },
             _ => read(source),
         })?;
-        let mut config: Self =
-            text.parse().map_err(|error| ConfigError::Parse { path: path.to_owned(), error: Box::new(error) })?;
+        let mut config: Self = text
+            .parse()
+            .map_err(|error| ConfigError::Parse { path: path.to_owned(), faults: faults_of(text, error) })?;
         let file = std::path::absolute(path).map_err(read)?;
         config.begin_paths_at(file.parent().unwrap_or(Path::new("/")), sections::state_of_service());
         Ok(config)
@@ -741,6 +776,20 @@ mod tests {
         assert!(told("[scoring]\nprepare = \"many\"").contains("the text \"many\", expected a whole number"));
         assert!(told("[daemon]\nhang_s = -1").contains("expected a whole number"));
         assert!(told("[scoring]\nprepare_share = \"all\"").contains("expected a number"));
+    }
+
+    #[test]
+    fn all_faults_of_a_text_are_named_with_their_lines() {
+        let faults = |toml: &str| faults_of(toml.to_owned(), toml.parse::<Config>().unwrap_err());
+        let toml = "[planner]\nroomtime = 3\nroom_time_s = \"x\"\nonly_when = \"empty\"\n[scen]\nroomtime = 1\n\n[daemon]\nhang_s = [\n-1]\n";
+        let named = faults(toml);
+        let mut lines: Vec<&str> = named.iter().filter_map(|fault| fault.lines().next()).collect();
+        lines.sort_unstable();
+        let places = ["2, column 1", "3, column 15", "4, column 13", "5, column 2", "9, column 10"];
+        assert_eq!(lines, places.map(|place| format!("at line {place}")), "{named:#?}");
+        assert_eq!(faults("[daemon\nx = 1\n[scen]\n").len(), 1, "after a fault of TOML the rest is a guess");
+        let many: String = (0..99).map(|key| format!("key-{key} = 1\n")).collect();
+        assert_eq!(faults(&many).len(), FAULTS_MAX);
     }
 
     #[test]

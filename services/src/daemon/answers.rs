@@ -8,6 +8,7 @@ use roomcast_core::narration::Observation;
 use roomcast_core::narration::line::Who;
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
+use roomcast_core::text::did_you_mean;
 
 use super::engine::Engine;
 use super::journal::JournalHandle;
@@ -80,7 +81,12 @@ pub(super) fn answer_about_person<M: LanguageModel>(
             true => format!(
                 "no report has told of the resident {who:?} yet: an event with this name does, such as an action, a presence, or the person's phone or bed sensor"
             ),
-            false => format!("nobody is known as {who:?}: `roomcast person list` says who is"),
+            false => {
+                let lines = engine.persons().lines(0);
+                let names = lines.iter().filter_map(|line| line.name.as_deref());
+                let meant = did_you_mean(who, names);
+                format!("no person is known as {who:?}: `roomcast person list` shows all{meant}")
+            }
         })
     };
     let (mut failed, mut understood, mut whereabouts) = (false, Vec::new(), None);
@@ -159,8 +165,11 @@ fn not_yet_kept(error: &io::Error) -> String {
         let patience_s = FORGET_PATIENCE.as_secs();
         return format!(
             "they are forgotten in memory; the files of the state directory are still being rewritten after {patience_s} s, which goes on: ask \
-             again until nobody is known by that name"
+             again until no person is known by that name"
         );
+    }
+    if error.kind() == io::ErrorKind::ResourceBusy {
+        return format!("they are forgotten, but {error}, and the file has their deleted rows until that program ends");
     }
     format!("they are forgotten until the daemon starts again: the state directory cannot be written: {error}")
 }

@@ -18,7 +18,7 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, b
 use roomcast_core::ids::PersonId;
 use roomcast_core::narration::Observation;
 pub use roomcast_database::DatabaseError as JournalError;
-use roomcast_database::rusqlite::Error;
+use roomcast_database::rusqlite::{Error, ErrorCode};
 use roomcast_database::{Database, Schema};
 use roomcast_ipc::Sender as Port;
 
@@ -243,7 +243,7 @@ impl JournalHandle {
     ) -> io::Result<T> {
         let (done, answer) = bounded(1);
         // The asker may have lost patience.
-        let work = Work::Do(Box::new(move |writer| _ = done.send(work(writer).map_err(io::Error::other))));
+        let work = Work::Do(Box::new(move |writer| _ = done.send(work(writer).map_err(with_kind))));
         match self.queue().map(|queue| queue.send_deadline(work, until)) {
             Some(Ok(())) => {
                 answer.recv_deadline(until).unwrap_or_else(|_| Err(io::Error::from(io::ErrorKind::TimedOut)))
@@ -352,6 +352,11 @@ fn append(writer: &mut Writer, batch: Vec<Record>) {
         *writer.progress.written.lock().unwrap_or_else(PoisonError::into_inner) += records;
         writer.progress.grew.notify_all();
     }
+}
+
+fn with_kind(error: Error) -> io::Error {
+    let is_busy = error.sqlite_error_code() == Some(ErrorCode::DatabaseBusy);
+    io::Error::new(if is_busy { io::ErrorKind::ResourceBusy } else { io::ErrorKind::Other }, error)
 }
 
 /// Monotonic times of another boot say nothing about this one.

@@ -141,10 +141,9 @@ impl Planner {
         let verdict = |room: usize| {
             let now = Now { local_s: self.local_s(), stay_s: self.stay_in_s(room).max(1.0) };
             let by = facts.staying.get(room).cloned().flatten();
-            let id = self.id_of(room).to_owned();
             Verdict {
                 reason: allowed(room, now, &facts).err(),
-                by: by.map(|by| Reason::Occupied { by: Some(by), room: id }),
+                by: by.map(|by| Reason::Occupied { by: Some(by), room: self.name_of(room) }),
                 is_asked: holds(facts.asked, room),
             }
         };
@@ -173,7 +172,7 @@ impl Planner {
             least < 1.0 - self.config.interrupt_at
         };
         let reason = |(room, verdict): (usize, Verdict)| {
-            let later = || is_taken(room).then(|| Reason::Occupied { by: None, room: self.id_of(room).to_owned() });
+            let later = || is_taken(room).then(|| Reason::Occupied { by: None, room: self.name_of(room) });
             (self.id_of(room).to_owned(), verdict.reason.or(verdict.by).or_else(later).map(|reason| reason.to_string()))
         };
         self.verdicts(now_ns).into_iter().enumerate().map(reason).collect()
@@ -190,14 +189,18 @@ impl Planner {
         }
         let first = rules.iter().enumerate().find(|(room, _)| is_shut || !is_done(*room))?.1.reason.as_ref()?;
         let reasons = rules.iter().enumerate().filter(|(room, _)| is_shut || !is_done(*room));
-        let said = sentences(reasons.filter_map(|(_, verdict)| verdict.reason.as_ref()));
+        let said: Vec<String> =
+            reasons.filter_map(|(_, verdict)| verdict.reason.as_ref()).map(Reason::to_string).collect();
         Some((Pause::Rule(std::mem::discriminant(first)), said.join(" ")))
     }
 
     /// The reasons against the rooms to do, or the text `otherwise`.
     fn why_waiting(&self, rules: &[Verdict], otherwise: impl FnOnce() -> String) -> String {
         let to_do = rules.iter().enumerate().filter(|(room, _)| !self.round.is_done(*room));
-        let said = sentences(to_do.filter_map(|(_, verdict)| verdict.reason.as_ref().or(verdict.by.as_ref())));
+        let said: Vec<String> = to_do
+            .filter_map(|(_, verdict)| verdict.reason.as_ref().or(verdict.by.as_ref()))
+            .map(Reason::to_string)
+            .collect();
         if said.is_empty() { otherwise() } else { said.join(" ") }
     }
 
@@ -214,10 +217,10 @@ impl Planner {
     }
 
     pub(super) fn why_left(&self, left: &[usize]) -> String {
-        let ids: Vec<&str> = left.iter().map(|room| self.id_of(*room)).collect();
-        if ids.is_empty() {
+        let names: Vec<String> = left.iter().map(|room| self.name_of(*room)).collect();
+        if names.is_empty() {
             return String::new();
         }
-        format!("left to the next round, since somebody is likely there: {}; ", ids.join(", "))
+        format!("left to the next round, since somebody is likely there: {}; ", names.join(", "))
     }
 }

@@ -135,8 +135,8 @@ impl Planner {
         if work.waits && !matches!(reason, Reason::Held { .. }) {
             return None;
         }
-        let (id, cancels) = (self.id_of(work.room), self.own_decision(work));
-        let why = if work.waits { String::new() } else { format!("The work in the {id} stops. {reason} ") };
+        let (name, cancels) = (self.name_of(work.room), self.own_decision(work));
+        let why = if work.waits { String::new() } else { format!("The work in the {name} stops. {reason} ") };
         self.notice = Notice { cancels, flags: 0, why };
         self.robot.work = None;
         self.interruption.new_stay(None);
@@ -157,7 +157,7 @@ impl Planner {
     /// Ends work at the end of its time. By the clock it is done; a robot with an overdue report has failed.
     pub(super) fn look_at_work(&mut self, now_ns: BootNs) {
         if self.robot.give_up_charging(now_ns) {
-            self.notice.why = "the robot has said nothing for so long that it counts as charged: ".to_owned();
+            self.notice.why = "The robot has said nothing for so long that it counts as charged. ".to_owned();
             self.step(Step::Charge);
         }
         let Some(work) = &self.robot.work else { return };
@@ -170,12 +170,12 @@ impl Planner {
             }
             self.robot.work = None;
         } else if self.robot.is_overdue(now_ns) {
-            let id = self.id_of(work.room).to_owned();
+            let name = self.name_of(work.room);
             let (room, cancels) = (work.room, self.own_decision(work));
             self.robot.silent = true;
             self.round.fail(room, now_ns);
             self.robot.work = None;
-            let why = format!("the robot says nothing of its work in the {id}, which is given up: ");
+            let why = format!("The robot says nothing of its work in the {name}, which is given up. ");
             self.notice = Notice { cancels, flags: 0, why };
         }
     }
@@ -193,8 +193,8 @@ impl Planner {
             return;
         }
         if let (Some(work), Some(room)) = (self.robot.work.take(), room) {
-            let (id, percent) = (self.id_of(room).to_owned(), 100.0 * likely.get(room).copied().unwrap_or_default());
-            let why = format!("somebody came into {id} ({percent:.0} %), so its work there stops: ");
+            let (name, percent) = (self.name_of(room), 100.0 * likely.get(room).copied().unwrap_or_default());
+            let why = format!("A person came into the {name} ({percent:.0} %), so the work there stops. ");
             let cancels = self.own_decision(&work);
             self.notice = Notice { cancels, flags: decision_flags::INTERRUPTED, why };
         }
@@ -207,10 +207,10 @@ impl Planner {
         if !room.zip(self.others.as_ref()).is_some_and(|(room, others)| others.go_before(&room, work.waits, now_ns)) {
             return;
         }
-        let (id, cancels) = (self.id_of(work.room).to_owned(), self.own_decision(work));
+        let (name, cancels) = (self.name_of(work.room), self.own_decision(work));
         let what = if work.waits { "it waits no longer there" } else { "its work there stops" };
         self.robot.work = None;
-        let why = format!("another robot has the {id}, so {what}: ");
+        let why = format!("Another robot has the {name}, so {what}. ");
         self.notice = Notice { cancels, flags: 0, why };
     }
 

@@ -17,13 +17,14 @@ use std::time::Duration;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use roomcast_ipc::raw::{
-    DecisionV1, ForecastV1, NAME_BYTES, PersonForecastsV1, RoomScoresV1, action, decision_flags, score_flags,
+    DecisionV1, ForecastV1, NAME_BYTES, PersonForecastsV1, RoomScoresV1, RoomV1, action, decision_flags, score_flags,
 };
 use roomcast_ipc::{sequence, text};
 
 use crate::config::{Config, Forced, PlannerConfig, is_room};
 use crate::daemon::Zone;
 use crate::setup;
+use crate::slug::room_name;
 use roomcast_core::grounding::PartitionLevel;
 use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::policy::{Choice, Policy, PolicyError, PolicyName, RobotState};
@@ -156,14 +157,17 @@ struct Verdict {
     is_asked: bool,
 }
 
-fn sentences<'a>(reasons: impl Iterator<Item = &'a Reason>) -> Vec<String> {
-    let mut said = Vec::new();
-    for sentence in reasons.map(Reason::to_string) {
-        if !said.contains(&sentence) {
-            said.push(sentence);
+/// A decision's reason: each sentence begins with a capital letter and stands once.
+fn in_sentences(text: &str) -> String {
+    let mut said: Vec<String> = Vec::new();
+    for sentence in text.split_inclusive(". ").map(str::trim) {
+        let mut letters = sentence.chars();
+        let begun: String = letters.next().into_iter().flat_map(char::to_uppercase).chain(letters).collect();
+        if !said.contains(&begun) {
+            said.push(begun);
         }
     }
-    said
+    said.join(" ")
 }
 
 enum Next {
@@ -458,7 +462,7 @@ impl Planner {
                 let likely = likely.or_else(|| outlook.likely.get(room).copied());
                 let stay_ns = self.stay_in_ns(room);
                 // The reason before it is about another room.
-                let goes = format!("goes to {}: ", self.id_of(room));
+                let goes = format!("It goes to the {}: ", self.name_of(room));
                 let goes = if self.notice.why.is_empty() { "" } else { &goes };
                 let decision = self.go(room, stay_ns, &format!("{ended}{goes}{reason}"));
                 let likely_now = here.as_ref().and_then(|here| here.get(room).copied());
@@ -607,6 +611,12 @@ impl Planner {
 
     fn stay_s(&self) -> f64 {
         self.round.stay_ns as f64 / 1e9
+    }
+
+    /// A room's name in reasons.
+    fn name_of(&self, room: usize) -> String {
+        let rooms = self.scores.as_ref().map_or(&[][..], RoomScoresV1::rooms);
+        room_name(self.id_of(room), rooms.iter().map(RoomV1::id))
     }
 
     fn id_of(&self, room: usize) -> &str {

@@ -5,8 +5,12 @@ use super::*;
 impl Planner {
     /// The robot stays, since the scores are stale.
     pub(super) fn fall_back(&mut self, stale: u32) -> Option<DecisionV1> {
-        if self.robot.work.is_some() || self.is_finished() || self.phase == Phase::FellBack {
+        let works = self.robot.work.as_ref().is_some_and(|work| !work.waits);
+        if works || self.is_finished() || self.phase == Phase::FellBack {
             return None;
+        }
+        if let Some(waiting) = self.robot.work.take() {
+            self.notice.cancels = self.own_decision(&waiting);
         }
         // A robot that made way for a person does not stay next to that person.
         let (action, to, does) = match self.phase {
@@ -38,8 +42,6 @@ impl Planner {
             return None;
         }
         self.said = (reason.to_owned(), now_ns);
-        // The end of the earlier work may have the same reason.
-        let reason = if self.notice.why.contains(reason) { "The robot waits." } else { reason };
         let decision = self.decision(None, reason);
         Some(DecisionV1 { action: action::PAUSE, ..decision })
     }
@@ -89,7 +91,7 @@ impl Planner {
             cancels,
             policy: text::encode_cut(self.policy.name().as_str()),
             robot_name: self.name,
-            reason: text::encode_cut(&format!("{why}{reason}")),
+            reason: text::encode_cut(&in_sentences(&format!("{why}{reason}"))),
             ..Default::default()
         };
         if let Some(scores) = &self.scores {

@@ -175,9 +175,9 @@ impl Planner {
                 self.end_work(|work| work.room != room, String::new());
             }
             (report_kind::SKIP, Some(room)) => {
-                let id = self.id_of(room).to_owned();
+                let (id, name) = (self.id_of(room).to_owned(), self.name_of(room));
                 self.orders.skip(&id, day_ends_s);
-                self.end_work(|work| work.room == room, format!("The {id} is skipped today. "));
+                self.end_work(|work| work.room == room, format!("The {name} is skipped today. "));
             }
             _ => return Err(ReportFault::NoRoom),
         }
@@ -221,8 +221,7 @@ impl Planner {
     /// The next decision contains the robot's reason for not doing a room.
     fn complain(&mut self, room: usize, note: &str) {
         if !note.is_empty() {
-            let id = self.id_of(room);
-            self.notice.why = format!("the robot could not do the {id} ({note}): ");
+            self.notice.why = format!("The robot could not do the {} ({note}). ", self.name_of(room));
         }
     }
 

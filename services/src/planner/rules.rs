@@ -3,6 +3,7 @@
 use std::fmt;
 
 use crate::config::{OnlyWhen, PlannerConfig, clock_time};
+use crate::slug::room_name;
 
 /// A set of rooms by their places in the scores: bit i is room i.
 pub type RoomSet = u64;
@@ -234,20 +235,17 @@ pub fn allowed(room: usize, now: Now, facts: &Facts<'_>) -> Result<(), Reason> {
 /// All reasons against work in a room, the strongest first.
 fn reasons<'a>(room: usize, now: Now, facts: &'a Facts<'_>) -> impl Iterator<Item = Reason> + 'a {
     let config = facts.config;
-    let id = move || facts.ids.get(room).map_or_else(String::new, |id| (*id).to_owned());
+    let name = move || facts.name(room);
     let held = facts.hold.map(|(hold, until_s)| Reason::Held { why: hold.why.clone(), until_s });
     let sleeper = facts.sleepers.iter().find(|sleeper| holds(sleeper.near, room));
-    let asleep = sleeper.map(|sleeper| Reason::Asleep {
-        name: sleeper.name.clone(),
-        room: facts.ids.get(sleeper.room).map_or_else(String::new, |id| (*id).to_owned()),
-    });
+    let asleep = sleeper.map(|sleeper| Reason::Asleep { name: sleeper.name.clone(), room: facts.name(sleeper.room) });
     let needs = facts.ids.get(room).and_then(|id| config.needs_of(id));
-    let excluded = needs.filter(|needs| needs.exclude).map(|_| Reason::Excluded { room: id() });
-    let skipped = holds(facts.skipped, room).then(|| Reason::Skipped { room: id() });
+    let excluded = needs.filter(|needs| needs.exclude).map(|_| Reason::Excluded { room: name() });
+    let skipped = holds(facts.skipped, room).then(|| Reason::Skipped { room: name() });
     let hours = config.quiet.iter().filter(move |hours| hours.are_of(facts.ids.get(room).unwrap_or(&"")));
     let met = hours.filter_map(move |hours| Some((hours.meets(now.local_s, now.stay_s)?, hours.rooms().is_empty())));
     let quiet = met.max_by(|a, b| a.0.total_cmp(&b.0));
-    let quiet = quiet.map(|(until_s, is_all)| Reason::Quiet { room: (!is_all).then(id), until_s });
+    let quiet = quiet.map(|(until_s, is_all)| Reason::Quiet { room: (!is_all).then(name), until_s });
     let unobserved = facts.unobserved.clone().map(|(names, until_s)| Reason::Unobserved { names, until_s });
     held.into_iter()
         .chain(asleep)
@@ -258,24 +256,31 @@ fn reasons<'a>(room: usize, now: Now, facts: &'a Facts<'_>) -> impl Iterator<Ite
         .chain(empty(room, now, facts))
 }
 
+impl Facts<'_> {
+    /// A room's name for people.
+    fn name(&self, room: usize) -> String {
+        self.ids.get(room).map_or_else(String::new, |id| room_name(id, self.ids.iter().copied()))
+    }
+}
+
 /// The reason against the room if house or room must be empty and are not.
 fn empty(room: usize, at: Now, facts: &Facts<'_>) -> Option<Reason> {
     let PlannerConfig { only_when, min_absence_s, min_absence_at, resume_at, interrupt_at, .. } = *facts.config;
     // Work that has begun ends at a higher probability, so that doubt does not stop and start the robot.
     let occupied_at = if at.stay_s > 0.0 { resume_at } else { interrupt_at };
-    let id = || facts.ids.get(room).map_or_else(String::new, |id| (*id).to_owned());
+    let name = || facts.name(room);
     let (of_room, (now, later)) = match only_when? {
         OnlyWhen::HouseEmpty => (false, facts.house_empty),
         OnlyWhen::RoomFree => (true, facts.room_free.get(room).copied()?),
     };
     if now < 1.0 - occupied_at {
         return Some(if of_room {
-            Reason::Occupied { by: facts.staying.get(room).cloned().flatten(), room: id() }
+            Reason::Occupied { by: facts.staying.get(room).cloned().flatten(), room: name() }
         } else {
             Reason::HouseOccupied { names: facts.at_home.clone(), missing: facts.missing.clone() }
         });
     }
-    let too_short = || Reason::TooShort { room: of_room.then(id), for_s: min_absence_s, likely: later };
+    let too_short = || Reason::TooShort { room: of_room.then(name), for_s: min_absence_s, likely: later };
     (min_absence_s > 0.0 && later < min_absence_at).then(too_short)
 }
 

@@ -137,11 +137,11 @@ fn while_somebody_sleeps_every_other_room_is_done_in_its_slot() {
             sleeper.tell(&mut planner, now_ns);
             let decision = planner.decide(BootNs(now_ns), UnixNs(0)).unwrap().unwrap();
             if slot > 2 {
-                let said = decision.reason().contains("waits in a room that is done")
+                let said = decision.reason().contains("Waits in a room that is done")
                     && decision.reason().contains("; 1 room would take more than ");
                 assert!(said, "slot {slot}: {}", decision.reason());
             } else if slot == 0 && round > 0 {
-                let ended = "the round's deadline came with 1 of 4 rooms undone, a round of all rooms begins: ";
+                let ended = "The round's deadline came with 1 of 4 rooms undone, a round of all rooms begins: ";
                 assert!(decision.reason().starts_with(ended), "{}", decision.reason());
             }
             visited.push(decision.to().to_owned());
@@ -169,7 +169,7 @@ fn a_round_ends_at_its_deadline_also_when_nobody_could_decide() {
         assert!(planner.decide(BootNs(11 * S), UnixNs(0)).unwrap().unwrap().has(decision_flags::FALLBACK));
         planner.hear(&scores(2, 31 * S, &[0.1, 0.2, 0.7]));
         let decision = planner.decide(BootNs(31 * S), UnixNs(0)).unwrap().unwrap();
-        let said = format!("the round's deadline came with 2 of 3 rooms undone, {next}: ");
+        let said = format!("The round's deadline came with 2 of 3 rooms undone, {next}: ");
         assert!(decision.reason().starts_with(&said), "{}", decision.reason());
         let (to, covered) = if repeat { ("room-0", 0) } else { ("room-1", 0b1) };
         assert_eq!((decision.to(), decision.covered), (to, covered));
@@ -209,7 +209,7 @@ fn rooms_that_are_added_after_all_was_done_are_done_too() {
     }
     planner.hear(&scores(3, 21 * S, &[0.6, 0.4]));
     let finished = planner.decide(BootNs(21 * S), UnixNs(0)).unwrap().unwrap();
-    assert_eq!((finished.action, finished.reason()), (action::STAY, "every room is covered"));
+    assert_eq!((finished.action, finished.reason()), (action::STAY, "Every room is covered"));
     assert_eq!((planner.idle(BootNs(21 * S)), planner.decide(BootNs(99 * S), UnixNs(0)).unwrap()), (TICK, None));
 
     let added = RoomScoresV1 { map_fingerprint: [1; 32], ..scores(4, 100 * S, &[0.3, 0.3, 0.4]) };
@@ -473,7 +473,7 @@ fn the_next_decision_says_why_the_robot_could_not_do_a_room() {
     let first = home.decision(1);
     home.report(5, report_kind::FAILED, |report| report.note = text::encode("note", "brush jammed").unwrap());
     let next = home.decision(5);
-    assert!(next.reason().starts_with("the robot could not do the room-0 (brush jammed): "), "{}", next.reason());
+    assert!(next.reason().starts_with("The robot could not do the room 0 (brush jammed). "), "{}", next.reason());
     assert_ne!(next.to(), first.to());
     home.answer(50, report_kind::FAILED, &next);
     assert!(!home.decision(50).reason().contains("could not"), "without a reason there is none to tell");
@@ -486,7 +486,7 @@ fn a_robot_that_gets_nowhere_pauses_between_its_tries() {
     home.answer(2, report_kind::BLOCKED, &first);
     let pause = home.decision(2);
     assert_eq!((pause.action, pause.to()), (action::PAUSE, ""));
-    assert!(pause.reason().contains("no other room can be done now"), "{}", pause.reason());
+    assert!(pause.reason().contains("No other room can be done now"), "{}", pause.reason());
     assert_eq!(home.look(30), None, "said once");
     assert_eq!(home.decision(63).to(), "room-0");
 }
@@ -550,7 +550,7 @@ fn a_robot_in_trouble_pauses_and_says_why() {
     let pause = home.decision(3);
     assert_eq!(pause.action, action::PAUSE);
     assert!(
-        pause.reason().contains("the robot failed 2 times in a row before it began: it is asked again in 1 min"),
+        pause.reason().contains("The robot failed 2 times in a row before it began: it is asked again in 1 min"),
         "{}",
         pause.reason()
     );
@@ -606,7 +606,7 @@ fn a_robot_with_a_low_battery_is_not_sent_out_before_it_is_ready() {
     home.report(40, report_kind::DOCKED, battery(0.09));
     let pause = home.decision(40);
     assert_eq!((pause.action, pause.covered), (action::PAUSE, 0));
-    assert_eq!(pause.reason(), "the battery is at 9 %: the robot charges until 50 %");
+    assert_eq!(pause.reason(), "The battery is at 9 %: the robot charges until 50 %");
     home.report(150, report_kind::BATTERY, battery(0.49));
     assert_eq!(home.look(150), None);
     home.report(200, report_kind::BATTERY, battery(0.5));
@@ -745,7 +745,7 @@ fn a_robot_that_says_nothing_for_too_long_gives_its_room_up() {
     let next = home.decision(222);
     assert!(next.has(decision_flags::ROBOT_SILENT) && next.cancels == first.sequence && next.covered == 0);
     assert_eq!(
-        (next.to(), next.reason().starts_with("the robot says nothing of its work in the room-0")),
+        (next.to(), next.reason().starts_with("The robot says nothing of its work in the room 0")),
         ("room-1", true)
     );
     home.answer(230, report_kind::STARTED, &next);
@@ -773,13 +773,13 @@ fn somebody_who_comes_in_interrupts_and_the_room_is_done_later() {
     let second = home.decision(12);
     assert!(second.has(decision_flags::INTERRUPTED), "{second:?}");
     assert_eq!((second.cancels, second.to(), second.covered), (first.sequence, "room-1", 0));
-    let begin = "somebody came into room-0 (90 %), so its work there stops: goes to room-1: works here";
+    let begin = "A person came into the room 0 (90 %), so the work there stops. It goes to the room 1: works here";
     assert!(second.reason().starts_with(begin), "{}", second.reason());
     // The person may still be there.
     home.likely = vec![0.4, 0.0, 0.0];
     assert_eq!(home.decision(112).to(), "room-2");
     let waits = home.decision(212);
-    assert!(waits.reason().contains("waits in a room that is done"), "{}", waits.reason());
+    assert!(waits.reason().contains("Waits in a room that is done"), "{}", waits.reason());
     assert_eq!((waits.action, waits.to()), (action::STAY, "room-2"), "no needless way");
     // The person has left: the robot waits no longer.
     home.likely = vec![0.1, 0.0, 0.0];
@@ -809,7 +809,7 @@ fn a_home_without_knowledge_is_equally_free_everywhere() {
     let decision = home.decision(1);
     assert!(decision.has(decision_flags::NOT_KNOWN));
     assert!((decision.probability - 1.0 / 3.0).abs() < 1e-9, "{}", decision.probability);
-    assert!(decision.reason().starts_with("nothing is known of anybody, so every room counts alike: "));
+    assert!(decision.reason().starts_with("Nothing is known of anybody, so every room counts alike: "));
     assert_eq!(decision.to(), "room-0", "the likeliest room of the model's is as good as any");
     // Without a forecast, the scores decide.
     for policy in PolicyName::ALL {
@@ -826,7 +826,7 @@ fn a_home_without_people_is_free() {
     let mut home = Home::new(2, &PlannerConfig::default());
     home.flags = forecast_flags::NOBODY_HOME;
     let decision = home.decision(1);
-    assert!(decision.has(decision_flags::NOBODY_HOME) && decision.reason().starts_with("nobody is home: "));
+    assert!(decision.has(decision_flags::NOBODY_HOME) && decision.reason().starts_with("Nobody is home: "));
 }
 
 #[test]
@@ -841,7 +841,7 @@ fn the_last_stay_of_a_round_leaves_an_occupied_room_to_the_next_one() {
     // The price of a room, 42 s, is more than the expected cost of the stay at 40 %, and less than at 70 %.
     let enters = round(Forced::Skip, 0.4);
     assert_eq!((enters.to(), enters.has(decision_flags::DEADLINE)), ("room-0", true));
-    assert!(enters.reason().contains("the deadline leaves no later time for this room (40 % occupied): "));
+    assert!(enters.reason().contains("The deadline leaves no later time for this room (40 % occupied): "));
     // Two people, which makes a room left undone more expensive.
     for (forced, to) in [(Forced::Skip, "room-1"), (Forced::Enter, "room-0")] {
         let config = PlannerConfig { forced, room_time_s: 40.0, round_s: Some(80.0), ..Default::default() };
@@ -855,7 +855,7 @@ fn the_last_stay_of_a_round_leaves_an_occupied_room_to_the_next_one() {
         }
         let last = last.unwrap();
         assert_eq!((last.to(), last.has(decision_flags::DEADLINE)), (to, forced == Forced::Enter), "{}", last.reason());
-        let left = last.reason().contains("left to the next round, since somebody is likely there: room-0");
+        let left = last.reason().contains("Left to the next round, since somebody is likely there: room 0");
         assert_eq!(left, forced == Forced::Skip, "{}", last.reason());
     }
 }
@@ -1034,6 +1034,10 @@ fn a_room_to_wait_in_is_no_room_to_work_in() {
     assert_eq!((waits.from(), waits.to(), waits.covered), ("room-1", "room-0", 0b001));
     assert_eq!((waits.action, waits.cancels), (action::STAY, second.sequence), "{}", waits.reason());
     assert!(waits.reason().contains("waits in a room that is done"), "{}", waits.reason());
+    // The wait ends with the scores, not with its time.
+    let silent = home.planner.decide(BootNs(118 * S), UnixNs(0)).unwrap().unwrap();
+    assert!(silent.has(decision_flags::FALLBACK | decision_flags::DAEMON_SILENT), "{}", silent.reason());
+    assert_eq!(silent.cancels, waits.sequence);
     // Work follows as soon as it is possible.
     home.likely = vec![0.0, 0.9, 0.0];
     assert_eq!((home.decision(120).action, home.planner.room()), (action::GO, Some(2)));
@@ -1063,7 +1067,7 @@ fn a_robot_waits_where_no_other_robot_is() {
     home.planner.take_other(&other(action::GO, 2, "room-1", 220), BootNs(220 * S));
     let leaves = home.decision(221);
     assert_eq!((leaves.action, leaves.to(), leaves.cancels), (action::STAY, "room-2", waits.sequence));
-    assert!(leaves.reason().starts_with("another robot has the room-1, so it waits no longer there: "), "{leaves:?}");
+    assert!(leaves.reason().starts_with("Another robot has the room 1, so it waits no longer there. "), "{leaves:?}");
     // Work has precedence over the other robot's wait.
     home.planner.take_other(&other(action::STAY, 3, "room-0", 230), BootNs(230 * S));
     home.likely = vec![0.0, 0.0, 0.0];
@@ -1132,7 +1136,7 @@ fn a_restarted_planner_asks_for_the_report_that_is_owed() {
     let again = home.decision(150);
     assert_eq!((again.to(), again.action, again.stay_ns), (first.to(), action::GO, 0));
     assert!(again.has(decision_flags::OWED));
-    assert!(again.reason().contains("asks what became of"), "{}", again.reason());
+    assert!(again.reason().contains("Asks what became of"), "{}", again.reason());
     assert_eq!(home.look(151), None);
     home.answer(152, report_kind::FINISHED, &again);
     let next = home.decision(152);
@@ -1288,7 +1292,7 @@ fn no_room_is_entered_by_the_sets_of_the_event_before() {
         assert!(planner.lacks_sets(BootNs(S)));
         let without = planner.decide(BootNs(S), UnixNs(0)).unwrap().unwrap();
         assert_eq!((without.action, without.to()), (action::PAUSE, ""));
-        assert!(without.reason().contains("it is not known which rooms are in somebody's set"), "{}", without.reason());
+        assert!(without.reason().contains("It is not known which rooms are in somebody's set"), "{}", without.reason());
         assert_eq!(planner.decide(BootNs(S + 1), UnixNs(0)).unwrap(), None);
         // The sets come, and the robot goes at once.
         planner.hear_sets(&sets(&first, 0b010));

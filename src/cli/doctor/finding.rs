@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use roomcast_core::grounding::{Grounding, partition_named};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_core::text::edit_distance;
+use roomcast_core::text::nearest;
 use roomcast_services::config::{Config, RobotKind, is_room};
 use serde::Serialize;
 
@@ -123,15 +123,6 @@ pub(super) fn segments_at_odds(config: &Config, map: &SemanticMap, file: &str) -
         "[robot.segments] of {file} gives {room:?} and {other:?} the same segment {segment:?}, so the robot does neither"
     );
     Some((found, "give each its own, and leave out a room that the robot has no segment for".to_owned()))
-}
-
-/// The known text that a misspelt one probably means: the nearest by edit distance, if it is near enough.
-pub(super) fn nearest<'a>(text: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    let most = (text.chars().count() / 4).clamp(1, 4);
-    let far = known.into_iter().map(|known| (edit_distance(text, known), known));
-    far.filter(|(apart, known)| *apart <= most && *known != text)
-        .min_by_key(|(apart, _)| *apart)
-        .map(|(_, known)| known)
 }
 
 #[cfg(test)]

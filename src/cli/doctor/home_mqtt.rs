@@ -10,6 +10,7 @@ use roomcast_core::narration::Sentence;
 use roomcast_core::narration::forms::{self, near_miss};
 use roomcast_core::places::PlaceMatcher;
 use roomcast_core::semantic_map::SemanticMap;
+use roomcast_core::text::nearest;
 use roomcast_services::config::{Config, RobotKind};
 use roomcast_services::daemon::Persons;
 use roomcast_services::logging::chain;
@@ -18,7 +19,7 @@ use roomcast_services::mqtt::tally::Counted;
 use roomcast_services::mqtt::{self, Broker, MqttError, Rules};
 use roomcast_services::vacuum::{Dialect, Sensed, Status, by_ids, segment_of};
 
-use super::finding::{Finding, Place, nearest, room_remedy, segment_of_no_room, some_of};
+use super::finding::{Finding, Place, room_remedy, segment_of_no_room, some_of};
 use crate::cli::count;
 
 /// Home Assistant's domains with states about people.

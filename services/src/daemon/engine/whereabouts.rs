@@ -11,7 +11,7 @@ use crate::habits_reason::ELSEWHERE;
 
 /// Less probable places are left out.
 const LEAST: f64 = 0.005;
-/// An event is clear above the first change of the log-odds, and strong above the second.
+/// Limits of the change of the log-odds by an event. Below the first limit the event is called weak, below the second clear, else strong.
 const CLEAR: (f64, f64) = (0.7, 2.0);
 
 impl<M: LanguageModel> Engine<M> {

@@ -120,6 +120,8 @@ pub struct Writer {
     queue: Queue,
     /// A sync has failed, and its records are not written again yet. Until then a sync that succeeds proves nothing.
     lacks_pages: bool,
+    /// Deleted data is still in file or log: another program reads the database, or the disk has refused.
+    is_to_erase: bool,
     /// Events that trims have deleted.
     trimmed: usize,
     /// The habits in the database; `None` if they were never written.
@@ -151,6 +153,7 @@ impl Writer {
             boot_id: *boot_id,
             queue: Queue::default(),
             lacks_pages: false,
+            is_to_erase: false,
             trimmed: 0,
             habits: None,
             persons: Vec::new(),
@@ -334,6 +337,10 @@ impl Writer {
         self.database.write_synced(work)?;
         self.queue = Queue::default();
         self.tell_bytes();
+        if self.is_to_erase {
+            // The next sync tries again.
+            let _erased = self.erase();
+        }
         Ok(())
     }
 
@@ -341,7 +348,7 @@ impl Writer {
     /// number of their events.
     ///
     /// # Errors
-    /// When the disk refuses; then the next call tries again.
+    /// When the disk refuses, or another program reads the database. Each sync tries again to erase.
     pub(super) fn forget(&mut self, person: PersonId, is_theirs: &IsTheirs) -> Result<usize, Error> {
         self.write([])?;
         self.number += 1;
@@ -352,11 +359,11 @@ impl Writer {
         let removed = removed
             .and_then(|()| self.directory.as_deref().map_or(Ok(()), |directory| old::remove(directory, &old::EVENTS)));
         removed.map_err(refused)?;
-        // Also when nothing has changed: an earlier call may have failed before this.
-        self.erase()?;
         if is_changed {
             self.bytes = self.database.write(store::bytes)?;
         }
+        // Also when nothing has changed: an earlier call may have failed before this.
+        self.erase()?;
         Ok(theirs)
     }
 
@@ -405,16 +412,18 @@ impl Writer {
     }
 
     fn erase(&mut self) -> Result<(), Error> {
+        self.is_to_erase = true;
         self.database.erase().inspect_err(|error| self.recover_from(error))?;
+        self.is_to_erase = false;
         // Nothing that a later sync loses was written before this.
         self.queue = Queue::default();
         self.tell_bytes();
         Ok(())
     }
 
-    /// Whether there are records that the disk refused.
+    /// Whether there is work that the disk refused.
     pub(super) fn is_behind(&self) -> bool {
-        self.queue.written < self.queue.records.len() || self.lacks_pages
+        self.queue.written < self.queue.records.len() || self.lacks_pages || self.is_to_erase
     }
 
     /// Events that were deleted because there were too many.

@@ -734,7 +734,7 @@ fn forgetting_an_unknown_person_writes_nothing() {
     house.after(1, "Anna", "They sit down.");
     let before = house.journal.recovered().observations;
     let answer = forget(&mut house, "Ben");
-    assert!(!answer.done && answer.reason.is_some_and(|reason| reason.contains("nobody is known as")));
+    assert!(!answer.done && answer.reason.is_some_and(|reason| reason.contains("no person is known as")));
     assert_eq!(house.journal.recovered().observations, before);
 }
 

@@ -200,7 +200,7 @@ fn quiet_hours_stop_the_robot_and_let_it_go_on_afterwards() {
     flat.quiet_for(14 * MIN);
     let stops = flat.decision(MIN);
     let id = goes.to().to_owned();
-    paused(&stops, &format!("The work in the {id} stops. Quiet hours until 07:00. The robot waits."));
+    paused(&stops, &format!("The work in the {id} stops. Quiet hours until 07:00."));
     assert_eq!(stops.cancels, goes.sequence);
     flat.quiet_for(8 * HOUR + 59 * MIN);
     let goes = flat.decision(MIN);
@@ -307,7 +307,7 @@ fn a_hold_stops_the_robot_until_its_end_also_over_a_reboot() {
         order.until_unix_ns = 10 * HOUR;
     });
     let stops = flat.decision(MIN);
-    paused(&stops, &format!("The work in the {} stops. On hold until 10:00: meeting. The robot waits.", goes.to()));
+    paused(&stops, &format!("The work in the {} stops. On hold until 10:00: meeting.", goes.to()));
     assert!(stops.has(decision_flags::HELD) && stops.held_until_unix_ns == 10 * HOUR && stops.cancels == goes.sequence);
     flat.quiet_for(10 * MIN);
     flat.reboot();
@@ -336,7 +336,7 @@ fn a_held_robot_that_waits_is_told_so() {
     for _ in 0..4 {
         assert_eq!(flat.decision(10 * MIN).action, action::GO);
     }
-    assert_eq!(flat.decision(10 * MIN).reason(), "every room is covered");
+    assert_eq!(flat.decision(10 * MIN).reason(), "Every room is covered");
     flat.order(report_kind::HOLD, |_| ());
     assert!(flat.decision(S).has(decision_flags::HELD));
 }
