@@ -410,8 +410,8 @@ fn sleep_lasts_until_an_action_that_is_not_done_in_bed() {
         ("20 ben: They fall asleep on the sofa.", true),
         ("20 ben: They fall asleep on the sofa. | 9000 ben: They wake up.", false),
         ("20 ben: They wake up. | 9000 ben: They go to sleep.", true),
-        ("20 ben: They snore.", true),
-        ("20 ben: They snore. | 9000 ben: They open the fridge.", false),
+        ("20 ben: They go to sleep. | 9000 ben: They snore.", true),
+        ("20 ben: They go to sleep. | 9000 ben: They open the fridge.", false),
     ] {
         let mut house = House::new(&["ben"]);
         house.play(steps);
