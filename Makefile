@@ -121,6 +121,10 @@ docs:
 	@echo "test: documentation"
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --features full --no-deps
 
+.PHONY: book
+book: ## Builds the manual as web pages, into target/book (mdBook, which it builds first).
+	@.ci/book
+
 .PHONY: licences
 licences:
 	@echo "test: licences, bans and sources of the dependencies"

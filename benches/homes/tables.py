@@ -1,4 +1,4 @@
-"""The tables of docs/experiments.md, "Learning a home", from the output of `roomcast-lab habits --json`."""
+"""The tables of docs/tables.md, "Learning a home", from the output of `roomcast-lab habits --json`."""
 
 NEXT_ROOM = ("mixture", "model", "counts", "stay")
 NEXT_THING = ("mixture", "model", "counts", "without-model")

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use roomcast_ipc::raw::{DecisionV1, NarrationV1, action};
+use roomcast_ipc::raw::{DecisionV1, NarrationV1, action, decision_flags};
 use roomcast_ipc::{Domain, Subscriber};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
@@ -30,7 +30,7 @@ fn eventually<T>(what: &str, attempt: impl FnMut() -> Option<T>) -> T {
 
 fn program() -> Option<PathBuf> {
     let named = std::env::var_os("ROOMCAST_HOME_ASSISTANT").map(PathBuf::from);
-    let own = Path::new(env!("CARGO_BIN_EXE_roomcast")).parent().unwrap().join("../home-assistant/bin/hass");
+    let own = Path::new(env!("CARGO_BIN_EXE_roomcast")).parent().unwrap().join("../home-assistant-3.11/bin/hass");
     named.or(Some(own)).filter(|program| program.exists())
 }
 
@@ -253,12 +253,16 @@ impl Talk {
         }
     }
 
-    /// A Home Assistant that has just started does not know the service yet.
     fn turn(&mut self, switch: &str, on: bool) {
+        self.switch(&format!("input_boolean.{switch}"), on);
+    }
+
+    /// A Home Assistant that has just started does not know the service yet.
+    fn switch(&mut self, entity: &str, on: bool) {
         let service = if on { "turn_on" } else { "turn_off" };
-        let target = json!({"entity_id": format!("input_boolean.{switch}")});
-        let _known = self
-            .try_ask(json!({"type": "call_service", "domain": "input_boolean", "service": service, "target": target}));
+        let (domain, target) = (entity.split('.').next(), json!({ "entity_id": entity }));
+        let _known =
+            self.try_ask(json!({"type": "call_service", "domain": domain, "service": service, "target": target}));
     }
 
     fn state(&mut self, id: &str) -> Option<String> {
@@ -433,6 +437,20 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
         "binary_sensor.roomcast_somebody",
     ] {
         assert!(entities.iter().any(|own| own == id), "{id} in {entities:?}");
+    }
+
+    // A person holds the robot by its switch, and its rooms have buttons.
+    let hold = "switch.roomcast_robot_robot_hold";
+    for id in [hold, "button.roomcast_robot_robot_clean_bathroom", "button.roomcast_robot_robot_skip_bathroom"] {
+        eventually(&format!("{id} is there"), || talk.state(id));
+    }
+    let decisions = node.subscriber::<DecisionV1>().unwrap();
+    for is_held in [true, false] {
+        talk.switch(hold, is_held);
+        eventually(&format!("held: {is_held}"), || {
+            let decision = decisions.newest().unwrap()?;
+            (decision.has(decision_flags::HELD) == is_held).then_some(())
+        });
     }
 
     // The automation in docs/publish.md warms the bathroom before a person enters.

@@ -65,7 +65,7 @@ pub struct StoredPerson {
     pub(crate) observations: f64,
     /// Repeated mentions, and all mentions.
     pub(crate) repeated: [f64; 2],
-    /// The learned numbers of [`Person::pools`] in sequence.
+    /// The learned weights of the person's mixtures, in the order of [`Person::pools`].
     pub(crate) weights: Vec<f64>,
     #[serde(deserialize_with = "list_of_keyed")]
     pub(crate) anchors: Vec<StoredAnchor>,

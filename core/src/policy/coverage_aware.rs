@@ -8,7 +8,7 @@ pub const DP_PARTITIONS_MAX: usize = 12;
 
 /// Default price per room left undone, in seconds of disturbance. The robot skips a room only if covering it would mean sharing it for most of a
 /// minute. Chosen on the experiments' grid and on held-out activities, where it disturbs less than informed avoidance and fails no more often than
-/// chance (docs/experiments.md).
+/// chance (docs/tables.md).
 pub const WEIGHT_DEFAULT_S: f64 = 42.0;
 
 /// The default price is at least this share of the people's expected time in one slot. If the robot works for a quarter of an hour per room, a minute

@@ -3,7 +3,7 @@
 //! A vocabulary of frequent words has the words of the training text whole, and spells other words in pieces. So tokens per byte tell known text from
 //! other languages, source code and nonsense, without a pass of the decoder. Up to [`KNOWN`] the scores have their full weight in a forecast. From
 //! [`UNKNOWN`] on they have none: a forecast must not be sure after words that the model does not know. `roomcast-lab familiarity` prints the data
-//! (docs/experiments.md): they support the first limit, and the second is a choice.
+//! (docs/tables.md): they support the first limit, and the second is a choice.
 //!
 //! A vocabulary of letters or bytes needs many tokens for any text. There the limit is `SLACK` times the tokens of plain narration.
 

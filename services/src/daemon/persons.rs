@@ -65,7 +65,7 @@ pub(super) struct Known {
     by_fit: bool,
     /// The last thing was a bed, or the text said that the person sleeps.
     pub(super) on_bed: bool,
-    /// All of it is from before the daemon's start.
+    /// The daemon has accepted no event of this person since its start.
     pub(super) restored: bool,
     /// The scores since the newest event were sent.
     pub(super) told: bool,

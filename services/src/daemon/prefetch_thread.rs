@@ -112,7 +112,7 @@ impl PrefetchThread {
         let mut rests_until = Instant::now();
         let Ok(mut news) = self.now.recv() else { return };
         loop {
-            // The pause keeps the quota; a newer look may come during it.
+            // Resting keeps the prefetcher within its share of a core. A newer look may come while it rests.
             match self.now.recv_deadline(rests_until) {
                 Ok(newer) => {
                     news = newer;

@@ -13,7 +13,7 @@ use super::super::understood::{Reason, Understood, UnderstoodEvents};
 use super::map_in_use::{MapInUse, rooms_alike};
 use crate::config::May;
 
-/// A person takes an unnamed event above this share: more than one half, and no rounding.
+/// A person takes an unnamed event above this share. It is clearly above one half, so that rounding does not decide between two equal persons.
 pub(super) const HALF: f64 = 0.55;
 
 /// Most texts near a presence form that are logged, until a restart.

@@ -285,7 +285,7 @@ impl<M: LanguageModel> Engine<M> {
         }
     }
 
-    /// The parts of an event without a name, after the filter weighed it: a person takes it with a posterior above one half. If the filter believes
+    /// The parts of an event without a name, after the filter weighed it: a person takes it with a posterior above [`HALF`]. If the filter believes
     /// that a person is out, or back, the presence changes.
     fn shares(&mut self, own: &Observation, count: u8) -> Vec<Observation> {
         /// A person is out above the first, and in below the second, whatever the event says.
