@@ -6,10 +6,10 @@ use std::path::PathBuf;
 
 use crate::embedded;
 use roomcast_core::ids::UnixNs;
-use roomcast_core::narration::ProgramError;
+use roomcast_core::narration::TextError;
+pub use roomcast_core::narration::line::Who;
 use roomcast_core::narration::line::{self, Line};
 pub(crate) use roomcast_core::narration::line::{AHEAD_NS, LINE_BYTES_MAX};
-pub use roomcast_core::narration::line::{Who, WhoError};
 use roomcast_ipc::raw::NarrationV1;
 use roomcast_ipc::{MessageError, text};
 
@@ -40,10 +40,10 @@ impl Item {
         Self { kind, text: text.into(), person, observed_unix_ns: None, count: 0, duration_s: 0.0 }
     }
 
-    fn of_line(line: Line) -> Result<Self, LineError> {
+    fn of_line(line: Line) -> Result<Self, TextError> {
         let Line { kind, text, person, observed_unix_ns, count } = line;
         let item = Self { observed_unix_ns, count, ..Self::new(kind.number(), text, person) };
-        item.message()?;
+        item.message().map_err(|error| TextError(error.to_string()))?;
         Ok(item)
     }
 
@@ -64,64 +64,31 @@ impl Item {
     }
 }
 
-/// A line is not a narration.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum LineError {
-    /// It cannot be read.
-    #[error(transparent)]
-    Line(#[from] line::LineError),
-    /// It does not fit a message.
-    #[error(transparent)]
-    Message(#[from] MessageError),
-}
-
 /// An input is not a narration.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InputError {
     /// It cannot be read.
-    #[error("cannot read {name}: {source}")]
-    Read {
-        /// The file, or "standard input".
-        name: String,
-        /// The system's error.
-        source: io::Error,
-    },
+    #[error("cannot read {0}: {1}")]
+    Read(String, #[source] io::Error),
     /// Neither a file nor the name of an included activity program.
     #[error(
-        "there is no file {name}: give a program's file, a file of lines, or an included program by its name, {}",
-        embedded::program_names()
+        "there is no file {0}: give a program's file, a file of lines, or an included program by its name, {names}",
+        names = embedded::program_names()
     )]
-    Missing {
-        /// The given path.
-        name: String,
-    },
+    Missing(String),
     /// The path of the FIFO is another kind of file.
-    #[error("{path} is there and is no named pipe: remove it, give another path, or leave out --fifo to read it once")]
-    NoFifo {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("{0} is there and is no named pipe: remove it, give another path, or leave out --fifo to read it once")]
+    NoFifo(PathBuf),
     /// A FIFO cannot be created.
-    #[error("cannot make the named pipe {path}: {source}; give --fifo a path in a folder of your own")]
-    MakeFifo {
-        /// The path.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    #[error("cannot make the named pipe {0}: {1}; give --fifo a path in a folder of your own")]
+    MakeFifo(PathBuf, #[source] io::Error),
     /// The program is malformed.
     #[error(transparent)]
-    Program(#[from] ProgramError),
+    Program(#[from] TextError),
     /// A line is not a narration.
-    #[error("line {line}: {source}")]
-    Line {
-        /// The number of the line, from 1.
-        line: u64,
-        /// The fault.
-        source: LineError,
-    },
+    #[error("line {0}: {1}")]
+    Line(u64, #[source] TextError),
 }
 
 /// Lines that are not narrations: their count, and the texts of the first faults. The memory is bounded.
@@ -165,8 +132,8 @@ impl Faults {
 ///
 /// # Errors
 ///
-/// [`LineError`] with the key of a line of JSON, and the allowed values.
-pub fn line_item(line: &str, person: &Who) -> Result<Item, LineError> {
+/// [`TextError`] with the key of a line of JSON, and the allowed values.
+pub fn line_item(line: &str, person: &Who) -> Result<Item, TextError> {
     Item::of_line(Line::read(line, person)?)
 }
 
@@ -180,7 +147,7 @@ pub(crate) fn item_by(
     is_first: bool,
     person: &Who,
     now_unix_ns: UnixNs,
-) -> Result<Option<Item>, LineError> {
+) -> Result<Option<Item>, TextError> {
     let Some(text) = line::text_of(bytes, is_first)? else { return Ok(None) };
     Item::of_line(Line::read(text, person)?.observed_by(now_unix_ns)?).map(Some)
 }
@@ -204,7 +171,7 @@ mod tests {
             let says = match &taken {
                 Ok(Some(item)) => {
                     let age_ns = item.observed_unix_ns.map_or(0, |observed_ns| UnixNs(now_ns).since(observed_ns));
-                    let kind = line::Kind::of_number(item.kind);
+                    let kind = line::Kind::from_repr(item.kind);
                     json!({"kind": kind, "text": item.text, "person": item.person.json(), "age_s": age_ns as f64 / 1e9})
                 }
                 Ok(None) => json!("blank"),

@@ -1,14 +1,14 @@
 //! Reads the event of a narration message.
 
 use roomcast_core::narration::line::Kind;
-use roomcast_core::narration::{Event, ObservedError};
+use roomcast_core::narration::{Event, TextError};
 
 /// The event of a message's text, read as its kind ([`roomcast_ipc::raw::narration_kind`]): a presence or an action.
 ///
 /// # Errors
 /// The text's fault, as that kind.
-pub fn event_of(kind: u32, text: &str) -> Result<Event, ObservedError> {
-    Kind::of_number(kind).unwrap_or_default().event(text)
+pub fn event_of(kind: u32, text: &str) -> Result<Event, TextError> {
+    Kind::from_repr(kind).unwrap_or_default().event(text)
 }
 
 #[cfg(test)]
@@ -40,9 +40,9 @@ mod tests {
             (Kind::Presence, narration_kind::PRESENCE),
         ];
         for (kind, number) in numbers {
-            assert_eq!((kind.number(), Kind::of_number(number)), (number, Some(kind)));
+            assert_eq!((kind.number(), Kind::from_repr(number)), (number, Some(kind)));
         }
-        assert_eq!(Kind::of_number(narration_kind::PRESENCE + 1), None);
+        assert_eq!(Kind::from_repr(narration_kind::PRESENCE + 1), None);
     }
 
     /// `SOMEBODY` has the same number in messages and in the core, and the longest name has the same length.

@@ -17,7 +17,7 @@ use sd_notify::NotifyState;
 
 use crate::clock;
 use crate::config::{IntakeLimits, NarratorConfig};
-pub use crate::line::{Faults, InputError, Item, LineError, Who, WhoError, line_item};
+pub use crate::line::{Faults, InputError, Item, Who, line_item};
 use crate::line::{LINE_BYTES_MAX, item_by};
 use crate::logging::Limiter;
 use crate::notify::notify;
@@ -95,9 +95,9 @@ impl Input {
             return Ok(Self::Items(program_items(&shipped?, &person)));
         }
         if matches!(path.try_exists(), Ok(false)) {
-            return Err(InputError::Missing { name });
+            return Err(InputError::Missing(name));
         }
-        let read = |source| InputError::Read { name: name.clone(), source };
+        let read = |source| InputError::Read(name.clone(), source);
         if std::fs::metadata(path).map_err(read)?.file_type().is_fifo() {
             // An own writer keeps the stream open after its last other writer has left.
             let stream = File::options().read(true).write(true).open(path).map_err(read)?;
@@ -217,10 +217,6 @@ impl Account {
     }
 
     /// The next message, observed now unless the item has a time.
-    ///
-    /// # Errors
-    ///
-    /// [`MessageError`] if the text does not fit a message; the number is not used then.
     ///
     /// # Errors
     ///
@@ -531,7 +527,7 @@ fn read_lines(name: &str, stream: Box<dyn Read + Send>, person: &Who, items: &Se
             Ok(_) => {
                 let is_cut = bytes.len() as u64 > LINE_BYTES_MAX && bytes.last() != Some(&b'\n');
                 if is_cut && let Err(source) = stream.skip_until(b'\n') {
-                    let _gone = tell(Err(InputError::Read { name: name.to_owned(), source }));
+                    let _gone = tell(Err(InputError::Read(name.to_owned(), source)));
                     return false;
                 }
                 match item_by(&bytes, line == 1, person, clock::unix_ns()).transpose() {
@@ -540,11 +536,11 @@ fn read_lines(name: &str, stream: Box<dyn Read + Send>, person: &Who, items: &Se
                 }
             }
             Err(source) => {
-                let _gone = tell(Err(InputError::Read { name: name.to_owned(), source }));
+                let _gone = tell(Err(InputError::Read(name.to_owned(), source)));
                 return false;
             }
         };
-        if tell(item.map_err(|source| InputError::Line { line, source })).is_err() {
+        if tell(item.map_err(|source| InputError::Line(line, source))).is_err() {
             return false;
         }
     }
@@ -563,8 +559,8 @@ pub fn make_fifo(path: &PathBuf) -> Result<(), InputError> {
         Err(rustix::io::Errno::EXIST) if std::fs::metadata(path).is_ok_and(|found| found.file_type().is_fifo()) => {
             Ok(())
         }
-        Err(rustix::io::Errno::EXIST) => Err(InputError::NoFifo { path: path.clone() }),
-        Err(error) => Err(InputError::MakeFifo { path: path.clone(), source: error.into() }),
+        Err(rustix::io::Errno::EXIST) => Err(InputError::NoFifo(path.clone())),
+        Err(error) => Err(InputError::MakeFifo(path.clone(), error.into())),
     }
 }
 

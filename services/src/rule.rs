@@ -18,8 +18,9 @@ const QUIET_S_MAX: f64 = 604_800.0;
 /// The kind of a line with values in its text: a device's state, in any words. A line of this kind never sets presence.
 const FILLED_KIND: &str = "device";
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::IntoStaticStr, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
 pub(crate) enum Whereabouts {
     Present,
     /// Out of the house, and expected back.
@@ -27,17 +28,6 @@ pub(crate) enum Whereabouts {
     /// Out of the house, and not expected back.
     Gone,
     Empty,
-}
-
-impl Whereabouts {
-    fn word(self) -> &'static str {
-        match self {
-            Self::Present => "present",
-            Self::Away => "away",
-            Self::Gone => "gone",
-            Self::Empty => "empty",
-        }
-    }
 }
 
 /// The keys that both kinds of rules have, as they stand in a file.
@@ -124,7 +114,7 @@ impl Saying {
         let mut written = Map::new();
         for (key, said, value) in [
             ("text", "say", say.map(Value::from)),
-            ("presence", "presence", presence.map(|presence| presence.word().into())),
+            ("presence", "presence", presence.map(|presence| <&str>::from(presence).into())),
             ("sensor", "sensor", sensor.map(|kind| kind.to_string().into())),
             ("id", "id", device.id.map(Value::from)),
             ("room", "room", room.map(Value::from)),

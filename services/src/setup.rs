@@ -7,7 +7,7 @@ use sha2::{Digest, Sha256};
 use crate::config::{Config, ConfigError};
 use crate::embedded::{self, ModelFile};
 use roomcast_core::grounding::{Grounding, GroundingError};
-use roomcast_core::narration::{Program, ProgramError};
+use roomcast_core::narration::{Program, TextError};
 use roomcast_core::pipeline::{Pipeline, PipelineError, PipelineOptions};
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::scorer::{LanguageModel, ModelError, Scorer, familiarity};
@@ -47,7 +47,7 @@ pub enum SetupError {
     },
     /// An activity program failed.
     #[error(transparent)]
-    Program(#[from] ProgramError),
+    Program(#[from] TextError),
     /// The scene's grounding failed.
     #[error(transparent)]
     Grounding(#[from] GroundingError),
@@ -143,7 +143,7 @@ pub fn load_program(path: &Path) -> Result<Program, SetupError> {
 ///
 /// # Errors
 /// If the program is malformed; a test of the included programs excludes that.
-pub fn shipped_program(path: &Path) -> Option<Result<Program, ProgramError>> {
+pub fn shipped_program(path: &Path) -> Option<Result<Program, TextError>> {
     let shipped = path.to_str().filter(|_| !path.exists()).and_then(embedded::program)?;
     Some(Program::parse(shipped.text))
 }

@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use roomcast_core::narration::program;
-use roomcast_core::narration::{Action, DAY_MINUTES_MAX, PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
+use roomcast_core::narration::{Action, DAY_MINUTES_MAX, PROGRAM_BYTES_MAX, Program, STEPS_MAX, TextError};
 
 /// Largest file of a day, in bytes. The longest of HOMER+ have 200 KiB.
 pub const DAY_BYTES_MAX: usize = 16 * PROGRAM_BYTES_MAX;
@@ -39,10 +39,10 @@ impl Day {
     /// Reads a day. An action without a time gets the time of the previous action; the first action needs one.
     ///
     /// # Errors
-    /// [`ProgramError`] names the line.
-    pub fn parse(text: &str) -> Result<Self, ProgramError> {
+    /// [`TextError`] names the line.
+    pub fn parse(text: &str) -> Result<Self, TextError> {
         if text.len() > DAY_BYTES_MAX {
-            return Err(ProgramError::TooLarge { bytes: text.len() as u64 });
+            return too_large(text.len() as u64);
         }
         let mut actions: Vec<TimedAction> = Vec::new();
         let mut activity = String::new();
@@ -54,18 +54,18 @@ impl Day {
                 name.trim_end_matches(".txt").clone_into(&mut activity);
             } else if text.starts_with('[') {
                 if actions.len() == STEPS_MAX {
-                    return Err(ProgramError::TooManySteps { line });
+                    return Err(TextError(format!("line {line}: more than {STEPS_MAX} steps: split the day")));
                 }
                 // The count at the end of the line is not part of VirtualHome's notation.
                 let notation = match text.rfind(" [") {
                     Some(at) => &text[..at],
                     None => text,
                 };
-                let action = Action::parse(notation).map_err(|source| ProgramError::Step { line, source })?;
+                let action = Action::parse(notation).map_err(|fault| TextError(format!("line {line}: {fault}")))?;
                 if actions.is_empty() {
                     untimed = Some(line);
                 } else if let Some(line) = untimed {
-                    return Err(ProgramError::Untimed { line });
+                    return Err(without_time(line));
                 }
                 actions.push(TimedAction { activity: activity.clone(), action, done_min: now_min });
                 awaits_time = true;
@@ -75,7 +75,9 @@ impl Day {
                 && let Some(last) = actions.last_mut()
             {
                 if minute > f64::from(DAY_MINUTES_MAX) {
-                    return Err(ProgramError::Late { line, minute });
+                    return Err(TextError(format!(
+                        "line {line}: minute {minute} of the day, more than {DAY_MINUTES_MAX}: give minutes since midnight"
+                    )));
                 }
                 now_min = minute.max(now_min);
                 last.done_min = now_min;
@@ -83,10 +85,10 @@ impl Day {
             }
         }
         if actions.is_empty() {
-            return Err(ProgramError::Empty { title: "day".into() });
+            return Err(TextError("the day has no step: add lines such as `[WALK] <kitchen> (1)`".into()));
         }
         if let Some(line) = untimed {
-            return Err(ProgramError::Untimed { line });
+            return Err(without_time(line));
         }
         Ok(Self { actions })
     }
@@ -103,16 +105,27 @@ impl Day {
     }
 }
 
+fn too_large<T>(bytes: u64) -> Result<T, TextError> {
+    Err(TextError(format!("the day has {bytes} bytes, more than {DAY_BYTES_MAX}: split it")))
+}
+
+fn without_time(line: usize) -> TextError {
+    TextError(format!(
+        "line {line}: the first action has no time, as in a program of one activity: give a day in HOMER+'s format, with minutes since \
+         midnight below each action"
+    ))
+}
+
 /// Reads a file that holds an activity program or a day.
 ///
 /// # Errors
 /// As [`Program::load`] and [`Day::parse`].
-pub fn load_any(path: &Path) -> Result<Program, ProgramError> {
-    let unread = |source| ProgramError::Read { path: path.to_owned(), source };
-    let within = |source| ProgramError::In { path: path.to_owned(), source: Box::new(source) };
+pub fn load_any(path: &Path) -> Result<Program, TextError> {
+    let unread = |error| TextError(format!("failed to read the activity program {}: {error}", path.display()));
+    let within = |fault| TextError(format!("{}: {fault}", path.display()));
     let bytes = std::fs::metadata(path).map_err(unread)?.len();
     if bytes > DAY_BYTES_MAX as u64 {
-        return Err(within(ProgramError::TooLarge { bytes }));
+        return too_large(bytes).map_err(within);
     }
     let text = std::fs::read_to_string(path).map_err(unread)?;
     if Day::recognise(&text) {

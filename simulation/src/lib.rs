@@ -29,7 +29,7 @@ pub mod trace;
 pub mod world;
 
 use roomcast_core::grounding::GroundingError;
-use roomcast_core::narration::SentenceError;
+use roomcast_core::narration::TextError;
 
 pub use scores::{ScoreSource, ScoresError};
 use timeline::TimelineError;
@@ -110,7 +110,7 @@ pub enum StudyError {
     Grounding(#[from] GroundingError),
     /// An action makes no sentence.
     #[error(transparent)]
-    Sentence(#[from] SentenceError),
+    Sentence(#[from] TextError),
 }
 
 /// The shipped activity programs for homes, by name, for tests.

@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use super::binding::{Binder, Place, distance_m};
 use super::homer::Day;
 use roomcast_core::grounding::Grounding;
-use roomcast_core::narration::{Action, ObjectRef, Program, Sentence, SentenceError};
+use roomcast_core::narration::{Action, ObjectRef, Program, Sentence, TextError};
 use roomcast_core::semantic_map::{PartitionId, RoomId, SemanticMap};
 
 /// Longest timeline, in time steps of a second: four days.
@@ -45,7 +45,7 @@ pub enum TimelineError {
     },
     /// An object's name is not a text.
     #[error(transparent)]
-    Sentence(#[from] SentenceError),
+    Sentence(#[from] TextError),
 }
 
 /// The person's pace.

@@ -8,8 +8,7 @@ use roomcast_ipc::raw::narration_kind;
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;
 use crate::flags::plain;
-use roomcast_core::narration::line::WhoError;
-use roomcast_core::narration::{Event, ReadName, check_name};
+use roomcast_core::narration::{Event, ReadName, TextError, check_name};
 use roomcast_core::text::{did_you_mean, odd_name, visible};
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion};
 use roomcast_services::habits_reason::ELSEWHERE;
@@ -111,7 +110,7 @@ pub fn run(args: &Args) -> CommandResult {
 /// Sends a presence and prints how the daemon understood it.
 fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     let usage = |error: String| Failure::new(exit_code::USAGE, error);
-    let person: Who = who.parse().map_err(|error: WhoError| usage(error.to_string()))?;
+    let person: Who = who.parse().map_err(|error: TextError| usage(error.to_string()))?;
     let is_away = is_away(room);
     let text = if is_away { "away".to_owned() } else { format!("present in the {room}") };
     Event::presence(&text).map_err(|error| usage(error.to_string()))?;

@@ -39,7 +39,7 @@ No test compares these with the code.
 | limit | value | beyond it |
 | --- | --- | --- |
 | bytes of a line of a sensor log | 8 KiB | skipped and reported |
-| persons with a name that the home gave | 10 000 | the change is refused |
+| persons with a name that the home gave | 1 000 | the change is refused |
 | bytes that `roomcast model pull` fetches | 64 GiB | refused |
 | bytes of an answer of Home Assistant | 64 MiB | the command ends with an error |
 | seconds for all questions of one connection to Home Assistant | 60 | the command ends with an error |

@@ -1,6 +1,7 @@
 //! Atomic actions in VirtualHome's notation, `[PutBack] <plate> (1) <table> (2)`, and the sentence each stands for.
 
-use crate::text::{is_hidden, nearest};
+use super::{TextError, check_control, refused};
+use crate::text::nearest;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::OnceLock;
@@ -15,56 +16,6 @@ pub const LINE_BYTES_MAX: usize = 1024;
 const NAME_BYTES_MAX: usize = 128;
 /// Most objects of one action; no VirtualHome action has more.
 const OBJECTS_MAX: usize = 2;
-
-/// Why a line is no action.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum ActionError {
-    /// The line is longer than [`LINE_BYTES_MAX`].
-    #[error("the line has {bytes} bytes, more than {LINE_BYTES_MAX}: one action per line is expected")]
-    TooLong {
-        /// Its length.
-        bytes: usize,
-    },
-    /// A control character, which no notation needs.
-    #[error("the line holds the control character U+{code:04X}: remove it")]
-    Control {
-        /// Its code point.
-        code: u32,
-    },
-    /// The text does not follow the notation.
-    #[error("expected {expected} at column {column}: an action reads `[Grab] <mug> (1)`")]
-    Notation {
-        /// What should stand there.
-        expected: &'static str,
-        /// Column in characters, from 1.
-        column: usize,
-    },
-    /// The action is unknown.
-    #[error("unknown action `{verb}`{}", hint(.nearest))]
-    UnknownVerb {
-        /// As written.
-        verb: String,
-        /// The most similar known action, if any is similar.
-        nearest: Option<String>,
-    },
-    /// The action does not take this many objects.
-    #[error("`{verb}` cannot have {objects} objects: at most {OBJECTS_MAX} are known")]
-    Objects {
-        /// The action.
-        verb: String,
-        /// How many objects the line names.
-        objects: usize,
-    },
-}
-
-fn hint(nearest: &Option<String>) -> String {
-    match nearest {
-        Some(name) => format!(": did you mean `{name}`?"),
-        None => ": give one of VirtualHome's, such as `walk`, `grab`, `putback` or `switchon`; narration may be a plain sentence, too"
-            .to_owned(),
-    }
-}
 
 /// An object as a program names it: class name and the number that tells two of a kind apart.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -127,24 +78,27 @@ impl Action {
     /// Reads one line, `[Verb] <object> (id) <object> (id)`; case and space around the parts do not matter.
     ///
     /// # Errors
-    /// [`ActionError`] says at which column the notation is left, or which action is unknown.
-    pub fn parse(line: &str) -> Result<Self, ActionError> {
+    /// [`TextError`] says at which column the notation is left, or which action is unknown.
+    pub fn parse(line: &str) -> Result<Self, TextError> {
         if line.len() > LINE_BYTES_MAX {
-            return Err(ActionError::TooLong { bytes: line.len() });
+            let bytes = line.len();
+            return refused(format!(
+                "the line has {bytes} bytes, more than {LINE_BYTES_MAX}: one action per line is expected"
+            ));
         }
-        if let Some(c) = line.chars().find(|c| is_hidden(*c) && *c != '\t') {
-            return Err(ActionError::Control { code: c.into() });
-        }
+        check_control(line, "the line", |c| c == '\t')?;
         let mut cursor = Cursor { line, rest: line };
         cursor.skip_space();
         cursor.expect('[', "`[`")?;
         let written = cursor.until(']', "the action's name and `]`")?;
         let name: String = written.chars().filter(|c| !matches!(c, ' ' | '_')).flat_map(char::to_lowercase).collect();
         let Some((verb, _)) = table().get_key_value(&name) else {
-            return Err(ActionError::UnknownVerb {
-                verb: written.to_owned(),
-                nearest: nearest(&name, table().keys().map(String::as_str)).map(str::to_owned),
-            });
+            let hint = match nearest(&name, table().keys().map(String::as_str)) {
+                Some(name) => format!("did you mean `{name}`?"),
+                None => "give one of VirtualHome's, such as `walk`, `grab`, `putback` or `switchon`; narration may be a plain sentence, too"
+                    .to_owned(),
+            };
+            return refused(format!("unknown action `{written}`: {hint}"));
         };
         let mut objects = Vec::new();
         cursor.skip_space();
@@ -158,7 +112,8 @@ impl Action {
             objects.push(ObjectRef { name, id });
         }
         if objects.len() > OBJECTS_MAX {
-            return Err(ActionError::Objects { verb: verb.clone(), objects: objects.len() });
+            let objects = objects.len();
+            return refused(format!("`{verb}` cannot have {objects} objects: at most {OBJECTS_MAX} are known"));
         }
         Ok(Self { verb, objects })
     }
@@ -186,24 +141,11 @@ impl Action {
     #[must_use]
     pub fn sentence(&self) -> String {
         let entry = self.entry();
-        let tail = &entry.tails[self.objects.len()];
-        let mut sentence = format!("They {}", entry.base);
-        if !tail.is_empty() {
-            sentence.push(' ');
-            let mut rest = tail.as_str();
-            while let Some(at) = rest.find('{') {
-                let (before, hole) = rest.split_at(at);
-                sentence.push_str(before);
-                let object = if hole.starts_with("{0}") { self.objects.first() } else { self.objects.get(1) };
-                if let Some(object) = object {
-                    sentence.push_str(&object.words());
-                }
-                rest = hole.get(3..).unwrap_or("");
-            }
-            sentence.push_str(rest);
+        let mut tail = entry.tails[self.objects.len()].clone();
+        for (hole, object) in ["{0}", "{1}"].iter().zip(&self.objects) {
+            tail = tail.replace(hole, &object.words());
         }
-        sentence.push('.');
-        sentence
+        format!("They {}{}{tail}.", entry.base, if tail.is_empty() { "" } else { " " })
     }
 }
 
@@ -220,22 +162,22 @@ struct Cursor<'a> {
 }
 
 impl<'a> Cursor<'a> {
-    fn error(&self, expected: &'static str) -> ActionError {
-        let read = &self.line[..self.line.len() - self.rest.len()];
-        ActionError::Notation { expected, column: read.chars().count() + 1 }
+    fn error(&self, expected: &str) -> TextError {
+        let column = self.line[..self.line.len() - self.rest.len()].chars().count() + 1;
+        TextError(format!("expected {expected} at column {column}: an action reads `[Grab] <mug> (1)`"))
     }
 
     fn skip_space(&mut self) {
         self.rest = self.rest.trim_start();
     }
 
-    fn expect(&mut self, c: char, expected: &'static str) -> Result<(), ActionError> {
+    fn expect(&mut self, c: char, expected: &str) -> Result<(), TextError> {
         self.rest = self.rest.strip_prefix(c).ok_or_else(|| self.error(expected))?;
         Ok(())
     }
 
     /// The non-empty text before `end`, which is consumed too.
-    fn until(&mut self, end: char, expected: &'static str) -> Result<&'a str, ActionError> {
+    fn until(&mut self, end: char, expected: &str) -> Result<&'a str, TextError> {
         let (text, rest) = self.rest.split_once(end).ok_or_else(|| self.error(expected))?;
         let text = text.trim();
         if text.is_empty() || text.len() > NAME_BYTES_MAX || text.contains(['<', '>', '[', ']', '(', ')']) {
@@ -245,7 +187,7 @@ impl<'a> Cursor<'a> {
         Ok(text)
     }
 
-    fn number(&mut self) -> Result<u32, ActionError> {
+    fn number(&mut self) -> Result<u32, TextError> {
         const EXPECTED: &str = "a number below 2^32 and `)`";
         let (text, rest) = self.rest.split_once(')').ok_or_else(|| self.error(EXPECTED))?;
         let own = text.rsplit('.').next().unwrap_or(text);

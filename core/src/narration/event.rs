@@ -3,12 +3,15 @@
 use std::fmt;
 use std::sync::Arc;
 
-use super::{SENTENCE_BYTES_MAX, SensorReport, Sentence};
+use super::{SENTENCE_BYTES_MAX, SensorReport, Sentence, TextError, refused};
 use crate::text::is_hidden;
 
 /// Whether a person is in the house.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[derive(
+    Debug, Clone, Copy, Default, PartialEq, Eq, Hash, strum::IntoStaticStr, serde::Serialize, serde::Deserialize,
+)]
 #[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
 pub enum Presence {
     /// No event of the person yet.
     #[default]
@@ -25,12 +28,7 @@ impl Presence {
     /// Its name in messages and on the command line.
     #[must_use]
     pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Unknown => "unknown",
-            Self::Present => "present",
-            Self::Away => "away",
-            Self::Gone => "gone",
-        }
+        self.into()
     }
 }
 
@@ -43,13 +41,13 @@ impl RoomName {
     /// A name with a letter or digit, without control characters, of at most half a sentence.
     ///
     /// # Errors
-    /// [`PresenceError`] for any other text.
-    pub fn new(name: &str) -> Result<Self, PresenceError> {
+    /// Any other text is refused.
+    pub fn new(name: &str) -> Result<Self, TextError> {
         let name = name.trim();
         let name = name.strip_prefix("the ").unwrap_or(name);
         let is_name =
             name.contains(char::is_alphanumeric) && !name.contains(is_hidden) && name.len() <= SENTENCE_BYTES_MAX / 2;
-        if is_name && name != "the" { Ok(Self(name.into())) } else { Err(PresenceError::of(name)) }
+        if is_name && name != "the" { Ok(Self(name.into())) } else { no_presence(name) }
     }
 
     /// The name.
@@ -60,9 +58,9 @@ impl RoomName {
 }
 
 impl TryFrom<String> for RoomName {
-    type Error = PresenceError;
+    type Error = TextError;
 
-    fn try_from(name: String) -> Result<Self, PresenceError> {
+    fn try_from(name: String) -> Result<Self, TextError> {
         Self::new(&name)
     }
 }
@@ -74,7 +72,8 @@ impl From<RoomName> for String {
 }
 
 /// What a narrator reports about a person or a room.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, strum::IntoStaticStr)]
+#[strum(serialize_all = "kebab-case")]
 pub enum Event {
     /// An action: context for the language model. Its person is in the house.
     Did(Sentence),
@@ -85,6 +84,7 @@ pub enum Event {
     /// The person has left for good, as a visitor does.
     Gone,
     /// All persons are out of the house.
+    #[strum(serialize = "everybody-away")]
     AllAway,
     /// The room has no people in it.
     Empty(RoomName),
@@ -92,30 +92,18 @@ pub enum Event {
     Sensor(Arc<SensorReport>),
 }
 
-/// A text that is no presence.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum PresenceError {
-    /// It is none of the six texts.
-    #[error(
-        "{0:?} is no presence: say `present`, `present in the kitchen`, `nobody in the kitchen`, `away`, `everybody away` or `gone`"
-    )]
-    Text(String),
-    /// It is a sensor's report with a fault.
-    #[error("this is no sensor's report: {0}")]
-    Sensor(String),
-}
-
-impl PresenceError {
-    fn of(text: &str) -> Self {
-        Self::Text(text.chars().take(80).collect())
-    }
+fn no_presence<T>(text: &str) -> Result<T, TextError> {
+    let shown: String = text.chars().take(80).collect();
+    refused(format!(
+        "{shown:?} is no presence: say `present`, `present in the kitchen`, `nobody in the kitchen`, `away`, `everybody away` or `gone`"
+    ))
 }
 
 impl Event {
     /// Reads a message of the kind presence: the text that [`fmt::Display`] writes for all events but `Did`.
     ///
     /// # Errors
-    /// [`PresenceError`] for any other text.
+    /// Any other text is refused.
     ///
     /// ```
     /// use roomcast_core::narration::Event;
@@ -123,22 +111,23 @@ impl Event {
     /// let event = Event::presence("present in the kitchen")?;
     /// assert!(matches!(&event, Event::Present(Some(room)) if room.as_str() == "kitchen"));
     /// assert!(Event::presence("in the kitchen").is_err());
-    /// # Ok::<(), roomcast_core::narration::PresenceError>(())
+    /// # Ok::<(), roomcast_core::narration::TextError>(())
     /// ```
-    pub fn presence(text: &str) -> Result<Self, PresenceError> {
-        let error = |_| PresenceError::of(text);
+    pub fn presence(text: &str) -> Result<Self, TextError> {
+        let room = |room: &str| RoomName::new(room).or_else(|_| no_presence(text));
         match text.trim() {
-            text if text.starts_with('{') => {
-                Ok(Self::Sensor(Arc::new(SensorReport::parse(text).map_err(PresenceError::Sensor)?)))
-            }
+            json if json.starts_with('{') => match SensorReport::parse(json) {
+                Ok(report) => Ok(Self::Sensor(Arc::new(report))),
+                Err(fault) => refused(format!("this is no sensor's report: {fault}")),
+            },
             "present" => Ok(Self::Present(None)),
             "away" => Ok(Self::Away),
             "gone" => Ok(Self::Gone),
             "everybody away" => Ok(Self::AllAway),
-            text => match (text.strip_prefix("present in "), text.strip_prefix("nobody in ")) {
-                (Some(room), _) => Ok(Self::Present(Some(RoomName::new(room).map_err(error)?))),
-                (_, Some(room)) => Ok(Self::Empty(RoomName::new(room).map_err(error)?)),
-                (None, None) => Err(PresenceError::of(text)),
+            other => match (other.strip_prefix("present in "), other.strip_prefix("nobody in ")) {
+                (Some(name), _) => Ok(Self::Present(Some(room(name)?))),
+                (_, Some(name)) => Ok(Self::Empty(room(name)?)),
+                (None, None) => no_presence(text),
             },
         }
     }
@@ -200,15 +189,8 @@ mod tests {
         for text in ["present", "present in the tea kitchen", "away", "gone", "everybody away", "nobody in the hall"] {
             assert_eq!(Event::presence(text).map(|event| event.to_string()).as_deref(), Ok(text));
         }
-        for text in [
-            "",
-            "in the kitchen",
-            "present in the",
-            "present in the  ",
-            "nobody in the !",
-            "present in a\u{7}b",
-            "Away",
-        ] {
+        for text in "|in the kitchen|present in the|present in the  |nobody in the !|present in a\u{7}b|Away".split('|')
+        {
             Event::presence(text).unwrap_err();
         }
         RoomName::new(&"x".repeat(SENTENCE_BYTES_MAX)).unwrap_err();

@@ -1,7 +1,7 @@
 //! Narration: what a person has just done, as one sentence per observation, and the window of it that a prompt holds.
 //!
 //! Three kinds of observation become sentences: atomic actions in VirtualHome's notation ([`Action`]), device states
-//! ([`DeviceState`]) and plain sentences of any captioning source ([`Sentence`]). An action is observed when it is complete.
+//! ([`device_state`]) and plain sentences of any captioning source ([`Sentence`]). An action is observed when it is complete.
 
 use std::fmt;
 use std::sync::Arc;
@@ -18,39 +18,33 @@ mod person;
 pub mod program;
 mod sensor;
 
-pub use action::{Action, ActionEntry, ActionError, LINE_BYTES_MAX, ObjectRef, table as action_table};
-pub use event::{Event, Presence, PresenceError, RoomName};
+pub use action::{Action, ActionEntry, LINE_BYTES_MAX, ObjectRef, table as action_table};
+pub use event::{Event, Presence, RoomName};
 pub use history::{Histories, History, HistoryLimits, PERSONS_MAX, Quota};
 pub use person::{
     PERSON_NAME_BYTES_MAX, ReadName, check_name, is_number, name_words, person_number, same_but_for_accents, same_name,
 };
-pub use program::{DAY_MINUTES_MAX, PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
+pub use program::{DAY_MINUTES_MAX, PROGRAM_BYTES_MAX, Program, STEPS_MAX};
 pub use sensor::{SENSOR_ID_BYTES_MAX, SensorKind, SensorReport};
 
 /// Longest sentence of one observation, in bytes of UTF-8; the narration message holds as many.
 pub const SENTENCE_BYTES_MAX: usize = 1024;
 
-/// Why a text is no sentence.
+/// Why a text is no narration, with the remedy.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum SentenceError {
-    /// Nothing but space and punctuation.
-    #[error("the sentence holds no letter or digit: say what was observed, such as `They open the fridge.`")]
-    Empty,
-    /// Longer than [`SENTENCE_BYTES_MAX`].
-    #[error(
-        "the sentence has {bytes} bytes, more than {SENTENCE_BYTES_MAX}: shorten it or send it as several observations"
-    )]
-    TooLong {
-        /// Its length.
-        bytes: usize,
-    },
-    /// A control character.
-    #[error("the sentence holds the control character U+{code:04X}: remove it")]
-    Control {
-        /// Its code point.
-        code: u32,
-    },
+#[error("{0}")]
+pub struct TextError(pub String);
+
+fn refused<T>(reason: impl Into<String>) -> Result<T, TextError> {
+    Err(TextError(reason.into()))
+}
+
+/// Refuses control characters, except those that `is_allowed` selects.
+fn check_control(text: &str, what: &str, is_allowed: impl Fn(char) -> bool) -> Result<(), TextError> {
+    match text.chars().find(|c| is_hidden(*c) && !is_allowed(*c)) {
+        Some(c) => refused(format!("{what} holds the control character U+{:04X}: remove it", u32::from(c))),
+        None => Ok(()),
+    }
 }
 
 /// A plain sentence in the form the prompt wants: single spaces, a capital first letter, closing punctuation. Its copies share one text.
@@ -62,15 +56,20 @@ impl Sentence {
     ///
     /// # Errors
     /// Empty, overlong texts and control characters are refused.
-    pub fn new(text: &str) -> Result<Self, SentenceError> {
+    pub fn new(text: &str) -> Result<Self, TextError> {
+        let too_long = |bytes: usize| {
+            refused(format!(
+                "the sentence has {bytes} bytes, more than {SENTENCE_BYTES_MAX}: shorten it or send it as several observations"
+            ))
+        };
         if text.len() > SENTENCE_BYTES_MAX {
-            return Err(SentenceError::TooLong { bytes: text.len() });
+            return too_long(text.len());
         }
-        if let Some(c) = text.chars().find(|c| is_hidden(*c) && !c.is_whitespace()) {
-            return Err(SentenceError::Control { code: c.into() });
-        }
+        check_control(text, "the sentence", char::is_whitespace)?;
         if !text.contains(char::is_alphanumeric) {
-            return Err(SentenceError::Empty);
+            return refused(
+                "the sentence holds no letter or digit: say what was observed, such as `They open the fridge.`",
+            );
         }
         let mut sentence = String::with_capacity(text.len() + 1);
         for word in text.split_whitespace() {
@@ -91,7 +90,7 @@ impl Sentence {
         }
         match sentence.len() {
             0..=SENTENCE_BYTES_MAX => Ok(Self(sentence.into())),
-            bytes => Err(SentenceError::TooLong { bytes }),
+            bytes => too_long(bytes),
         }
     }
 
@@ -108,40 +107,14 @@ impl fmt::Display for Sentence {
     }
 }
 
-/// The state of a device, "the oven is on".
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
-pub struct DeviceState {
-    /// The device, without article ("oven").
-    pub device: String,
-    /// Its state ("on", "open", "at 20 degrees").
-    pub state: String,
-}
-
-impl DeviceState {
-    /// Reads "the oven is on"; `None` if the text has another form, in which case it is a plain sentence.
-    #[must_use]
-    pub fn parse(text: &str) -> Option<Self> {
-        let text = text.trim().trim_end_matches('.');
-        let rest = text.strip_prefix("the ").or_else(|| text.strip_prefix("The "))?;
-        let (device, state) = rest.split_once(" is ")?;
-        let (device, state) = (device.trim(), state.trim());
-        (!device.is_empty() && !state.is_empty()).then(|| Self { device: device.to_owned(), state: state.to_owned() })
-    }
-}
-
-/// Why a text is no observation.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum ObservedError {
-    /// It opens with `[` and so claims to be an action.
-    #[error(transparent)]
-    Action(#[from] ActionError),
-    /// It is no sentence either.
-    #[error(transparent)]
-    Sentence(#[from] SentenceError),
-    /// It is of the kind presence and states none.
-    #[error(transparent)]
-    Presence(#[from] PresenceError),
+/// The device and its state in "the oven is on"; `None` if the text has another form, in which case it is a plain sentence.
+#[must_use]
+pub fn device_state(text: &str) -> Option<(&str, &str)> {
+    let text = text.trim().trim_end_matches('.');
+    let rest = text.strip_prefix("the ").or_else(|| text.strip_prefix("The "))?;
+    let (device, state) = rest.split_once(" is ")?;
+    let (device, state) = (device.trim(), state.trim());
+    (!device.is_empty() && !state.is_empty()).then_some((device, state))
 }
 
 /// One event with person, narrator and times.
@@ -238,10 +211,14 @@ mod tests {
         assert_eq!(normal("Is it on?").as_deref(), Ok("Is it on?"));
         assert_eq!(normal("then,").as_deref(), Ok("Then."));
         assert_eq!(normal("éteint la lampe").as_deref(), Ok("Éteint la lampe."));
-        assert_eq!(normal(" ... "), Err(SentenceError::Empty));
-        assert_eq!(normal("a\u{0}b"), Err(SentenceError::Control { code: 0 }));
-        assert_eq!(normal(&"a".repeat(1025)), Err(SentenceError::TooLong { bytes: 1025 }));
-        assert_eq!(normal(&"a".repeat(1024)), Err(SentenceError::TooLong { bytes: 1025 }));
+        for (text, part) in [
+            (" ... ", "no letter or digit"),
+            ("a\u{0}b", "U+0000"),
+            (&"a".repeat(1025), "1025 bytes"),
+            (&"a".repeat(1024), "1025 bytes"),
+        ] {
+            assert!(normal(text).unwrap_err().0.contains(part), "{text}");
+        }
     }
 
     #[test]
@@ -251,7 +228,7 @@ mod tests {
         assert_eq!(sentence("the oven is on"), "The oven is on.");
         assert_eq!(sentence("Somebody sings"), "Somebody sings.");
         assert_eq!(Kind::of("the oven is on"), Kind::Device);
-        assert!(matches!(Kind::of("[Fly] <mug> (1)").event("[Fly] <mug> (1)"), Err(ObservedError::Action(_))));
+        Kind::of("[Fly] <mug> (1)").event("[Fly] <mug> (1)").unwrap_err();
     }
 
     proptest! {

@@ -1,8 +1,8 @@
 //! Activity programs: VirtualHome's text format of title, description and steps.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use super::action::{Action, ActionError};
+use super::{Action, TextError, refused};
 use crate::text::read_text_at_most;
 
 /// Largest program file that is read, in bytes. The longest of VirtualHome's has 7 KiB.
@@ -13,88 +13,6 @@ pub const STEPS_MAX: usize = 10_000;
 const NOTES_MAX: usize = 20;
 /// The latest minute of a day of activities, since its midnight: a day may go on after the next one.
 pub const DAY_MINUTES_MAX: u32 = 48 * 60;
-
-/// Why a text is no program.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ProgramError {
-    /// The file cannot be read.
-    #[error("failed to read the activity program {path}: {source}")]
-    Read {
-        /// Which file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// More than [`PROGRAM_BYTES_MAX`].
-    #[error("the program has {bytes} bytes, more than {PROGRAM_BYTES_MAX}: split it")]
-    TooLarge {
-        /// Its length.
-        bytes: u64,
-    },
-    /// More than [`STEPS_MAX`] steps.
-    #[error("line {line}: more than {STEPS_MAX} steps: split the program")]
-    TooManySteps {
-        /// The first line too many.
-        line: usize,
-    },
-    /// The title is missing or is itself a step.
-    #[error(
-        "line 1: expected the activity's title, found {found}: a program opens with a title, a description and an empty line"
-    )]
-    NoTitle {
-        /// The text there.
-        found: &'static str,
-    },
-    /// A step cannot be read.
-    #[error("line {line}: {source}")]
-    Step {
-        /// From 1.
-        line: usize,
-        /// The fault of the step.
-        source: ActionError,
-    },
-    /// A day of a household, where one activity is expected.
-    #[error(
-        "line {line} is none of a program's, and the file looks like a day in HOMER+'s format, with activities and times: `roomcast-lab` \
-         reads days, other commands programs in VirtualHome's format"
-    )]
-    Day {
-        /// The first line that no program has.
-        line: usize,
-    },
-    /// The first action of a day has no time.
-    #[error(
-        "line {line}: the first action has no time, as in a program of one activity: give a day in HOMER+'s format, with minutes since midnight \
-         below each action"
-    )]
-    Untimed {
-        /// From 1.
-        line: usize,
-    },
-    /// An action of a day later than [`DAY_MINUTES_MAX`].
-    #[error("line {line}: minute {minute} of the day, more than {DAY_MINUTES_MAX}: give minutes since midnight")]
-    Late {
-        /// From 1.
-        line: usize,
-        /// Its time.
-        minute: f64,
-    },
-    /// There is no step at all.
-    #[error("the program `{title}` has no step: add lines such as `[Walk] <kitchen> (1)`")]
-    Empty {
-        /// Its title.
-        title: String,
-    },
-    /// An error of a file, with its path.
-    #[error("{path}: {source}")]
-    In {
-        /// Which file.
-        path: PathBuf,
-        /// The fault in it.
-        source: Box<ProgramError>,
-    },
-}
 
 /// Whether the text has the headings of HOMER+'s days, which no program has before its steps.
 #[must_use]
@@ -120,16 +38,21 @@ impl Program {
     /// lines that open with `#` are skipped. A line that cannot be read is left out, with a note.
     ///
     /// # Errors
-    /// [`ProgramError`] names the line.
-    pub fn parse(text: &str) -> Result<Self, ProgramError> {
+    /// [`TextError`] names the line.
+    pub fn parse(text: &str) -> Result<Self, TextError> {
         if text.len() > PROGRAM_BYTES_MAX {
-            return Err(ProgramError::TooLarge { bytes: text.len() as u64 });
+            return too_large(text.len() as u64);
         }
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let mut lines = text.lines().enumerate().map(|(index, line)| (index + 1, line.trim()));
+        let no_title = |found: &str| {
+            refused(format!(
+                "line 1: expected the activity's title, found {found}: a program opens with a title, a description and an empty line"
+            ))
+        };
         let title = match lines.next() {
-            Some((_, "")) | None => return Err(ProgramError::NoTitle { found: "nothing" }),
-            Some((_, line)) if line.starts_with('[') => return Err(ProgramError::NoTitle { found: "a step" }),
+            Some((_, "")) | None => return no_title("nothing"),
+            Some((_, line)) if line.starts_with('[') => return no_title("a step"),
             Some((_, line)) => line.to_owned(),
         };
         let is_day = looks_like_a_day(text);
@@ -148,23 +71,30 @@ impl Program {
                 continue;
             }
             if steps.len() == STEPS_MAX {
-                return Err(ProgramError::TooManySteps { line });
+                return refused(format!("line {line}: more than {STEPS_MAX} steps: split the program"));
             }
             match Action::parse(text) {
                 Ok(step) => steps.push(step),
-                Err(_) if is_day => return Err(ProgramError::Day { line }),
-                Err(source) => {
+                Err(_) if is_day => {
+                    return refused(format!(
+                        "line {line} is none of a program's, and the file looks like a day in HOMER+'s format, with activities and times: \
+                         `roomcast-lab` reads days, other commands programs in VirtualHome's format"
+                    ));
+                }
+                Err(fault) => {
                     if notes.len() < NOTES_MAX {
-                        notes.push(format!("line {line} is left out: {source}"));
+                        notes.push(format!("line {line} is left out: {fault}"));
                     } else {
                         unnamed += 1;
                     }
-                    first_fault.get_or_insert(ProgramError::Step { line, source });
+                    first_fault.get_or_insert(TextError(format!("line {line}: {fault}")));
                 }
             }
         }
         if steps.is_empty() {
-            return Err(first_fault.unwrap_or(ProgramError::Empty { title }));
+            let none =
+                || TextError(format!("the program `{title}` has no step: add lines such as `[Walk] <kitchen> (1)`"));
+            return Err(first_fault.unwrap_or_else(none));
         }
         if unnamed > 0 {
             notes.push(format!("{unnamed} more lines are left out"));
@@ -176,19 +106,23 @@ impl Program {
     ///
     /// # Errors
     /// As [`Program::parse`], with the path, and what reading the file gives.
-    pub fn load(path: &Path) -> Result<Self, ProgramError> {
-        let within = |source| ProgramError::In { path: path.to_owned(), source: Box::new(source) };
-        let unread = |source| ProgramError::Read { path: path.to_owned(), source };
+    pub fn load(path: &Path) -> Result<Self, TextError> {
         // As much of it as shows that it is too long.
-        let text = read_text_at_most(path, PROGRAM_BYTES_MAX as u64).map_err(|source| match source.kind() {
-            std::io::ErrorKind::FileTooLarge => {
-                let bytes = std::fs::metadata(path).map_or(0, |file| file.len()).max(PROGRAM_BYTES_MAX as u64 + 1);
-                within(ProgramError::TooLarge { bytes })
+        let read = match read_text_at_most(path, PROGRAM_BYTES_MAX as u64) {
+            Ok(text) => Self::parse(&text),
+            Err(error) if error.kind() == std::io::ErrorKind::FileTooLarge => {
+                too_large(std::fs::metadata(path).map_or(0, |file| file.len()).max(PROGRAM_BYTES_MAX as u64 + 1))
             }
-            _ => unread(source),
-        })?;
-        Self::parse(&text).map_err(within)
+            Err(error) => {
+                return refused(format!("failed to read the activity program {}: {error}", path.display()));
+            }
+        };
+        read.map_err(|fault| TextError(format!("{}: {fault}", path.display())))
     }
+}
+
+fn too_large<T>(bytes: u64) -> Result<T, TextError> {
+    refused(format!("the program has {bytes} bytes, more than {PROGRAM_BYTES_MAX}: split it"))
 }
 
 impl std::fmt::Display for Program {
@@ -230,19 +164,15 @@ mod tests {
 
     #[test]
     fn lines_that_cannot_be_read_are_left_out_with_a_note() {
-        let laugh =
-            Program::parse("Have fun\nWe laugh.\n\n[Walk] <sofa> (1)\n[Laugh]\n[LookAt_Short] <tv> (1)\n").unwrap();
-        assert_eq!((laugh.steps.len(), laugh.notes.len()), (3, 0));
-        assert_eq!(laugh.steps[1].sentence(), "They laugh.");
+        let laugh = Program::parse("Have fun\nWe laugh.\n\n[Laugh]\n[LookAt_Short] <tv> (1)\n").unwrap();
+        assert_eq!((laugh.notes.len(), laugh.steps[0].sentence().as_str()), (0, "They laugh."));
         let program = Program::parse("Have fun\n\n[Levitate] <sofa> (1)\n[Walk] <sofa> (1)\n[Teleport]\n").unwrap();
         assert_eq!(program.steps.len(), 1);
         assert_eq!(program.notes.len(), 2);
         assert!(program.notes[0].starts_with("line 3 is left out: unknown action `Levitate`"), "{:?}", program.notes);
         let error = Program::parse("Have fun\n\n[Levitate]\n").unwrap_err().to_string();
         assert!(error.starts_with("line 3: unknown action `Levitate`"), "{error}");
-        let program =
-            Program::parse("Rest\n\n[Walk] <sofa> (1)\nnot a step\n[Sit] <sofa> 1)\n[Sit] <sofa> (1)\n").unwrap();
-        assert_eq!(program.steps.len(), 2);
+        let program = Program::parse("Rest\n\n[Walk] <sofa> (1)\nnot a step\n[Sit] <sofa> 1)\n").unwrap();
         assert!(program.notes[0].starts_with("line 4 is left out: expected `[`"), "{:?}", program.notes);
         assert!(program.notes[1].starts_with("line 5 is left out: expected `(number)`"), "{:?}", program.notes);
         let many = Program::parse(&format!("Title\n\n[Walk]\n{}", "[Levitate]\n".repeat(30))).unwrap();
@@ -256,17 +186,14 @@ mod tests {
             crate::skipped::skipped(format_args!("{} is missing", folder.display()));
             return;
         }
-        let mut folders = vec![folder];
-        let (mut read, mut failed) = (0, Vec::new());
+        let (mut folders, mut read, mut failed) = (vec![folder], 0, Vec::new());
         while let Some(folder) = folders.pop() {
-            for entry in std::fs::read_dir(folder).unwrap() {
-                let path = entry.unwrap().path();
-                if path.is_dir() {
-                    folders.push(path);
-                } else if path.extension().is_some_and(|e| e == "txt") {
-                    read += 1;
-                    failed.extend(Program::load(&path).err());
-                }
+            let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+            let (inner, files): (Vec<_>, Vec<_>) = paths.partition(|path| path.is_dir());
+            folders.extend(inner);
+            for path in files.iter().filter(|path| path.extension().is_some_and(|ending| ending == "txt")) {
+                read += 1;
+                failed.extend(Program::load(path).err());
             }
         }
         assert!(read > 2000);

@@ -229,7 +229,7 @@ struct Setup<'a> {
 
 impl StudyArgs {
     fn load(&self, path: &Path) -> Result<Vec<Named>, Failure> {
-        let input = |error: roomcast_core::narration::ProgramError| Failure::new(exit_code::INPUT, error);
+        let input = |error: roomcast_core::narration::TextError| Failure::new(exit_code::INPUT, error);
         if let Some(shipped) = setup::shipped_program(path) {
             let name = path.display().to_string();
             let activity = Activity::Program(shipped.map_err(input)?);

@@ -6,7 +6,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use roomcast_cli::{Failure, exit_code};
 use roomcast_core::grounding::GroundingError;
-use roomcast_core::narration::SentenceError;
+use roomcast_core::narration::TextError;
 use roomcast_simulation::{ScoresError, StudyError};
 
 pub mod baselines;
@@ -68,8 +68,8 @@ impl From<GroundingError> for ExperimentError {
     }
 }
 
-impl From<SentenceError> for ExperimentError {
-    fn from(error: SentenceError) -> Self {
+impl From<TextError> for ExperimentError {
+    fn from(error: TextError) -> Self {
         StudyError::from(error).into()
     }
 }

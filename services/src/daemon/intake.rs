@@ -558,6 +558,11 @@ mod tests {
         NarrationV1 { source, epoch, sequence, observed_ns: 5, ..NarrationV1::new(kind, text).unwrap() }
     }
 
+    /// The narrator "hall" of a configuration.
+    fn known(share: u32, rate_per_s: Option<f64>, relayed: bool) -> KnownNarrator {
+        KnownNarrator { name: "hall".into(), trust: share.min(3), share, may: May::ALL, rate_per_s, relayed }
+    }
+
     fn accepted(taken: Taken) -> (Observation, Quota, Option<(u64, u64)>) {
         let Taken::Accepted { observation, quota, leaves, .. } = taken else { panic!("{taken:?}") };
         (observation, quota, leaves)
@@ -626,17 +631,10 @@ mod tests {
     #[test]
     fn the_wait_for_a_relayed_message_above_the_rate_ends() {
         let hall = source_of_name("hall");
-        let known = |relayed| KnownNarrator {
-            name: "hall".into(),
-            trust: 1,
-            share: 1,
-            may: May::ALL,
-            rate_per_s: Some(1.0),
-            relayed,
-        };
         // The hub may have given up a message. The wait for it ends, also for the next start.
         for next in [(1, 7), (2, 1)] {
-            let mut intake = Intake::new(IntakeLimits { rate_per_s: 1.0, burst: 1.0 }).with_narrators(&[known(true)]);
+            let mut intake =
+                Intake::new(IntakeLimits { rate_per_s: 1.0, burst: 1.0 }).with_narrators(&[known(1, Some(1.0), true)]);
             accepted(intake.take(&message(hall, 1, 1, "A."), PORT, BootNs(0)));
             assert_eq!(intake.take(&message(hall, 1, 2, "B."), PORT, BootNs(0)), Taken::Limited);
             let mut later = |now_ns| intake.take(&message(hall, next.0, next.1, "C."), PORT, now_ns);
@@ -648,19 +646,10 @@ mod tests {
     /// The relay resends messages above the rate between new ones, at any interval.
     #[test]
     fn nothing_that_a_bridge_relays_above_the_rate_is_lost() {
-        const S: u64 = 1_000_000_000;
         let hall = source_of_name("hall");
         for gap_ms in [300, 700, 1_000, 1_100, 1_300, 2_000, 3_000, 4_500, 6_000] {
-            let known = KnownNarrator {
-                name: "hall".into(),
-                trust: 1,
-                share: 1,
-                may: May::ALL,
-                rate_per_s: Some(1.0),
-                relayed: true,
-            };
             let limits = IntakeLimits { rate_per_s: 1000.0, burst: 5.0 };
-            let mut intake = Intake::new(limits).with_narrators(&[known]);
+            let mut intake = Intake::new(limits).with_narrators(&[known(1, Some(1.0), true)]);
             intake.note_alive([PORT]);
             let mut relay = Relay::new("hall", 100.0);
             let (mut offered, mut said, mut newest, mut refused) = (0, 0, 0, 0);
@@ -699,12 +688,10 @@ mod tests {
     /// not follow, and the bridge resent their messages for ever.
     #[test]
     fn of_many_starts_that_a_bridge_relays_each_is_confirmed() {
-        const S: u64 = 1_000_000_000;
         assert_eq!(STARTS_UNDER_WAY_MAX, SOURCES_OF_A_PORT);
         let (hall, starts) = (source_of_name("hall"), 40);
-        let known =
-            KnownNarrator { name: "hall".into(), trust: 1, share: 1, may: May::ALL, rate_per_s: None, relayed: true };
-        let mut intake = Intake::new(IntakeLimits { rate_per_s: 1000.0, burst: 100.0 }).with_narrators(&[known]);
+        let limits = IntakeLimits { rate_per_s: 1000.0, burst: 100.0 };
+        let mut intake = Intake::new(limits).with_narrators(&[known(1, None, true)]);
         intake.note_alive([PORT]);
         let mut relay = Relay::new("hall", 100.0);
         for epoch in 1..=starts {
@@ -809,9 +796,7 @@ mod tests {
     /// A port that uses the name of an open port gets none of its quota.
     #[test]
     fn the_name_of_a_living_narrator_gives_nobody_its_voice() {
-        let named =
-            KnownNarrator { name: "hall".into(), trust: 3, share: 4, may: May::ALL, rate_per_s: None, relayed: false };
-        let mut intake = Intake::new(IntakeLimits::default()).with_narrators(&[named]);
+        let mut intake = Intake::new(IntakeLimits::default()).with_narrators(&[known(4, None, false)]);
         let hall = source_of_name("hall");
         let mut quota = |epoch, port, alive: &[Sender]| {
             intake.note_alive(alive.iter().copied());
@@ -850,17 +835,9 @@ mod tests {
     #[test]
     fn a_bridge_that_starts_again_goes_on_for_the_narrator_elsewhere() {
         let hall = source_of_name("hall");
-        let known = |relayed| KnownNarrator {
-            name: "hall".into(),
-            trust: 1,
-            share: 1,
-            may: May::ALL,
-            rate_per_s: None,
-            relayed,
-        };
         let third = Sender::simulated(3);
         for relayed in [false, true] {
-            let mut intake = Intake::new(IntakeLimits::default()).with_narrators(&[known(relayed)]);
+            let mut intake = Intake::new(IntakeLimits::default()).with_narrators(&[known(1, None, relayed)]);
             intake.note_alive([PORT]);
             let (first, ..) = accepted(intake.take(&message(hall, 1, 1, "A."), PORT, BootNs(0)));
             intake.note_alive([PORT, OTHER]);
@@ -873,7 +850,7 @@ mod tests {
                 assert!(matches!(taken, Taken::Accepted { binds: true, missed: 0, .. }), "{taken:?}");
                 assert_eq!(intake.take(&message(hall, 1, 3, "C."), third, BootNs(0)), Taken::Forged);
                 // Another port also continues after a restart of the daemon, by the restored port.
-                let mut next = Intake::new(IntakeLimits::default()).with_narrators(&[known(true)]);
+                let mut next = Intake::new(IntakeLimits::default()).with_narrators(&[known(1, None, true)]);
                 next.restore(first.id());
                 next.restore_port((hall, 1), PORT);
                 next.note_alive([third]);
@@ -924,15 +901,8 @@ mod tests {
     /// Unknown narrators share one quota, so more processes get no more of a window.
     #[test]
     fn narrators_that_are_named_have_voices_of_their_own() {
-        let named = KnownNarrator {
-            name: "hall".into(),
-            trust: 3,
-            share: 4,
-            may: May::ALL,
-            rate_per_s: Some(0.0),
-            relayed: false,
-        };
-        let mut intake = Intake::new(IntakeLimits { rate_per_s: 1.0, burst: 2.0 }).with_narrators(&[named]);
+        let limits = IntakeLimits { rate_per_s: 1.0, burst: 2.0 };
+        let mut intake = Intake::new(limits).with_narrators(&[known(4, Some(0.0), false)]);
         let hall = source_of_name("hall");
         let quota = |taken| accepted(taken).1;
         let own = quota(intake.take(&message(hall, 1, 1, "A."), PORT, BootNs(0)));

@@ -6,9 +6,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::{
-    Event, Observation, PERSONS_MAX, Presence, Quota, ReadName, check_name, is_number, name_words, same_name,
+    Event, Observation, PERSONS_MAX, Presence, Quota, ReadName, check_name, is_number, name_words,
 };
-use roomcast_ipc::raw::{NAME_BYTES, person_flags, presence};
+use roomcast_ipc::raw::{NAME_BYTES, person_flags};
 use roomcast_ipc::text;
 
 use super::journal::KeptPerson;
@@ -131,12 +131,21 @@ impl Persons {
     }
 
     fn number_of_read(&self, name: &ReadName) -> PersonId {
-        let number = self.file.given_number(name).unwrap_or_else(|| name.number());
+        self.known_number(name).unwrap_or_else(|| self.own_number(name))
+    }
+
+    /// The number that the home gave to a name, or the number of the name itself.
+    fn own_number(&self, name: &ReadName) -> PersonId {
+        self.file.given_number(name).unwrap_or_else(|| name.number())
+    }
+
+    /// The number of a name that the home knows. "Zoe" is Zoë if no other name differs by accents or signs only.
+    fn known_number(&self, name: &ReadName) -> Option<PersonId> {
+        let number = self.own_number(name);
         if self.is_number_named(number) || self.lives_here(name) {
-            return number;
+            return Some(number);
         }
-        let mut alike = self.alike(name).into_iter();
-        alike.next().filter(|_| alike.next().is_none()).unwrap_or(number)
+        self.only_number_where(|known| known.may_be_one(name))
     }
 
     fn is_number_named(&self, number: PersonId) -> bool {
@@ -147,29 +156,21 @@ impl Persons {
         self.residents.iter().any(|resident| resident.whole() == name.whole())
     }
 
-    /// Persons with names that differ by accents or signs only: "Zoe" is Zoë.
-    fn alike(&self, name: &ReadName) -> BTreeSet<PersonId> {
-        self.numbers_where(name, |known| known.may_be_one(name))
-    }
-
-    /// The numbers of all names near `name` for which `is_such` holds.
-    fn numbers_where(&self, name: &ReadName, is_such: impl Fn(&ReadName) -> bool) -> BTreeSet<PersonId> {
+    /// The number of all names for which `is_such` holds, if they have the same one.
+    fn only_number_where(&self, is_such: impl Fn(&ReadName) -> bool) -> Option<PersonId> {
         // A name that the home gave to a person has that person's number.
         let number = |read: &ReadName, own: PersonId| self.file.given_number(read).unwrap_or(own);
         let named = self.known.iter().filter_map(|(own, known)| Some((*own, &known.name.as_ref()?.read)));
         let residents = self.residents.iter().map(|read| (read.number(), read));
-        let all = named.chain(self.file.sharing(name)).chain(residents);
-        all.filter(|(_, read)| is_such(read)).map(|(own, read)| number(read, own)).collect()
+        let all = named.chain(self.file.newest()).chain(residents);
+        let mut numbers = all.filter(|(_, read)| is_such(read)).map(|(own, read)| number(read, own));
+        numbers.next().filter(|first| numbers.all(|other| other == *first))
     }
 
     /// The number of a name that the home knows: a resident, a given name, a name from a keyed event, or the first name of one person only.
     pub(super) fn called(&self, name: &str) -> Option<PersonId> {
         let read = ReadName::new(name);
-        if self.is_read_known(&read) {
-            return Some(self.number_of_read(&read));
-        }
-        let mut numbers = self.numbers_where(&read, |known| known.first() == Some(read.letters())).into_iter();
-        numbers.next().filter(|_| numbers.next().is_none())
+        self.known_number(&read).or_else(|| self.only_number_where(|known| known.first() == Some(read.letters())))
     }
 
     /// Whether the home knows a name.
@@ -293,15 +294,13 @@ impl Persons {
     pub(super) fn note(&mut self, observation: &Observation, quota: Quota, at_ns: i64) -> Option<PersonId> {
         let number = observation.person;
         // A person that comes back starts afresh.
-        let is_back = |known: &&Known| known.presence == Presence::Gone && observation.event != Event::Gone;
-        if self.known.get(&number).filter(is_back).is_some() {
+        if observation.event != Event::Gone && self.known.get(&number).is_some_and(|own| own.presence == Presence::Gone)
+        {
             self.known.remove(&number);
         }
-        let full = self.known.len() >= PERSONS_MAX && !self.known.contains_key(&number);
-        let dropped = if full { self.least_missed(quota.number) } else { None };
-        if let Some(dropped) = dropped {
-            self.known.remove(&dropped);
-        }
+        let is_full = self.known.len() >= PERSONS_MAX && !self.known.contains_key(&number);
+        let dropped = if is_full { self.least_missed(quota.number) } else { None };
+        dropped.map(|dropped| self.known.remove(&dropped));
         let name = observation.name.as_deref().map(Name::new).map(|name| self.spelled(number, name));
         let known = self.known.entry(number).or_insert_with(|| Known {
             name: None,
@@ -339,17 +338,16 @@ impl Persons {
 
     /// The spelling of a person's name: a resident's as in the configuration, any other as its first narrator wrote it.
     fn spelled(&self, number: PersonId, name: Name) -> Name {
-        let mut residents = self.config.residents.iter().zip(&self.residents);
-        let own_number = |read: &ReadName| self.file.given_number(read).unwrap_or(read.number());
+        let mut residents = self.listed();
         let is_resident = |read: &ReadName| {
-            read.whole() == name.read.whole() || read.may_be_one(&name.read) && own_number(read) == number
+            read.whole() == name.read.whole() || read.may_be_one(&name.read) && self.own_number(read) == number
         };
         if let Some((who, read)) = residents.find(|(_, read)| is_resident(read)) {
             return Name { said: who.as_str().into(), read: read.clone() };
         }
+        // Of two spellings the first one counts.
         let known = self.known.get(&number).and_then(|known| known.name.as_ref());
-        let is_other = |known: &&Name| known.read.whole() != name.read.whole() && known.read.may_be_one(&name.read);
-        known.filter(is_other).cloned().unwrap_or(name)
+        known.filter(|known| known.read.may_be_one(&name.read)).cloned().unwrap_or(name)
     }
 
     /// A person on a bed is probably asleep after this silence.
@@ -461,11 +459,6 @@ impl Persons {
         self.residents().chain(self.candidates(false).map(|(number, _)| number)).collect()
     }
 
-    fn is_read_known(&self, name: &ReadName) -> bool {
-        let number = self.file.given_number(name).unwrap_or_else(|| name.number());
-        self.is_number_named(number) || self.lives_here(name) || self.alike(name).len() == 1
-    }
-
     /// The number of a name or number, known or not.
     pub(super) fn meant(&self, who: &str) -> PersonId {
         let who = who.trim();
@@ -510,27 +503,19 @@ impl Persons {
             return Err(NotRenamed::Refused(reason));
         }
         // One resident cannot take the name of another.
-        if owner != number
-            && self.lives_here(&ReadName::new(name))
-            && self.residents().any(|resident| resident == number)
-        {
+        let is_resident = |number| self.residents().any(|resident| resident == number);
+        if owner != number && self.lives_here(&ReadName::new(name)) && is_resident(number) {
             let own = self.name_of(number).unwrap_or("this person");
             let reason = format!("{name} and {own} both live here by persons.residents: choose another name");
             return Err(NotRenamed::Refused(reason));
         }
-        let former = self.file.of_number(number);
-        let kept = match former {
-            Some(former) => former.renamed(name),
-            None => {
-                // Narrators may go on with the old name.
-                let own = self.name_of(number).filter(|own| !same_name(own, name));
-                let former = own.map(str::to_owned).into_iter().collect();
-                KeptPerson { number, name: name.to_owned(), resident: None, former }
-            }
-        };
-        let failed =
-            |error| NotRenamed::Failed(format!("the persons file cannot be written: {error}; nothing was changed"));
-        self.file.put(kept).map_err(failed)
+        // Narrators may go on with the old name.
+        let own = || self.name_of(number).unwrap_or(name).to_owned();
+        let former = self.file.of_number(number).cloned();
+        let former = former.unwrap_or_else(|| KeptPerson { number, name: own(), resident: None, former: Vec::new() });
+        self.file.put(former.renamed(name)).map_err(|error| {
+            NotRenamed::Failed(format!("the persons file cannot be written: {error}; nothing was changed"))
+        })
     }
 
     /// The names that the home gave.
@@ -589,12 +574,7 @@ pub fn flag_words(flags: u32) -> impl Iterator<Item = &'static str> {
 }
 
 pub(super) fn presence_value(of: Presence) -> u32 {
-    match of {
-        Presence::Unknown => presence::UNKNOWN,
-        Presence::Present => presence::PRESENT,
-        Presence::Away => presence::AWAY,
-        Presence::Gone => presence::GONE,
-    }
+    of as u32
 }
 
 /// A time in messages: 0 before the machine's start.

@@ -1,59 +1,25 @@
 //! The names that the home gave to persons, and their numbers, in the table `person` of the state database.
 
-use std::collections::HashMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use super::journal::{self, JournalHandle, KeptPerson};
 use roomcast_core::ids::PersonId;
-use roomcast_core::narration::{ReadName, check_name};
+use roomcast_core::narration::{ReadName, check_name, same_name};
 
 /// Most persons with a name from the home.
-pub const NAMED_MAX: usize = 10_000;
+pub const NAMED_MAX: usize = 1000;
 /// Longest wait of a change for the disk.
 const PATIENCE: Duration = Duration::from_secs(5);
+
 /// The names from the home.
 #[derive(Debug, Default, Clone)]
 pub struct PersonsFile {
     /// `None` without a state directory: names are lost at the end.
     journal: Option<JournalHandle>,
     persons: Vec<KeptPerson>,
-    index: Index,
-}
-
-/// Finds persons by name and number: a sentence looks up many names, and a home may have ten thousand.
-#[derive(Debug, Default, Clone)]
-struct Index {
-    by_number: HashMap<PersonId, usize>,
-    /// By all names, normalised for comparison.
-    by_name: HashMap<String, usize>,
-    /// By the numbers that follow from their names.
-    by_named_number: HashMap<PersonId, usize>,
-    /// The newest names, and per name or first name the persons that share it.
-    names: Vec<ReadName>,
-    sharing: HashMap<String, Vec<usize>>,
-}
-
-impl Index {
-    fn new(persons: &[KeptPerson]) -> Self {
-        let mut index =
-            Self { names: persons.iter().map(|kept| ReadName::new(&kept.name)).collect(), ..Self::default() };
-        for (at, kept) in persons.iter().enumerate() {
-            index.by_number.entry(kept.number).or_insert(at);
-            for name in kept.names().map(ReadName::new) {
-                index.by_name.entry(name.whole().to_owned()).or_insert(at);
-                index.by_named_number.entry(name.number()).or_insert(at);
-            }
-            let name = &index.names[at];
-            for shared in std::iter::once(name.letters()).chain(name.first()) {
-                let sharing = index.sharing.entry(shared.to_owned()).or_default();
-                if sharing.last() != Some(&at) {
-                    sharing.push(at);
-                }
-            }
-        }
-        index
-    }
+    /// All names of each person, the newest first.
+    names: Vec<Vec<ReadName>>,
 }
 
 impl PersonsFile {
@@ -71,7 +37,7 @@ impl PersonsFile {
             tracing::warn!(reason, "the table person of the state database is wrong, and the names in it are not known: correct it, and restart");
             Vec::new()
         });
-        Self { journal, index: Index::new(&persons), persons }
+        Self { journal, names: read(&persons), persons }
     }
 
     /// The persons with a name from the home.
@@ -80,34 +46,28 @@ impl PersonsFile {
         &self.persons
     }
 
-    /// The number of a name: from the home, or else derived from the name.
-    #[must_use]
-    pub fn number_of(&self, name: &str) -> PersonId {
-        let name = ReadName::new(name);
-        self.given_number(&name).unwrap_or(name.number())
-    }
-
     /// The number that the home gave to a name.
     pub(super) fn given_number(&self, name: &ReadName) -> Option<PersonId> {
-        self.index.by_name.get(name.whole()).map(|at| self.persons[*at].number)
+        let is_own = |names: &Vec<ReadName>| names.iter().any(|own| own.whole() == name.whole());
+        self.names.iter().position(is_own).map(|at| self.persons[at].number)
     }
 
     /// The number of the person with this number or a name that leads to it.
     #[must_use]
     pub fn current(&self, number: PersonId) -> PersonId {
-        self.index.by_named_number.get(&number).map_or(number, |at| self.persons[*at].number)
+        let is_own = |names: &Vec<ReadName>| names.iter().any(|own| own.number() == number);
+        self.names.iter().position(is_own).map_or(number, |at| self.persons[at].number)
     }
 
     /// The person of a number.
     #[must_use]
     pub(crate) fn of_number(&self, number: PersonId) -> Option<&KeptPerson> {
-        self.index.by_number.get(&number).map(|at| &self.persons[*at])
+        self.persons.iter().find(|kept| kept.number == number)
     }
 
-    /// The persons with this name or first name, each with the name.
-    pub(super) fn sharing(&self, name: &ReadName) -> impl Iterator<Item = (PersonId, &ReadName)> {
-        let sharing = self.index.sharing.get(name.letters()).into_iter().flatten();
-        sharing.map(|at| (self.persons[*at].number, &self.index.names[*at]))
+    /// The persons with their newest names.
+    pub(super) fn newest(&self) -> impl Iterator<Item = (PersonId, &ReadName)> {
+        self.persons.iter().zip(&self.names).filter_map(|(kept, names)| Some((kept.number, names.first()?)))
     }
 
     /// Whether a change survives a restart: there is a state database, and its last sync succeeded.
@@ -144,24 +104,28 @@ impl PersonsFile {
         if let Some(journal) = &self.journal {
             journal.replace_persons(persons.clone(), Instant::now() + PATIENCE)?;
         }
-        self.index = Index::new(&persons);
+        self.names = read(&persons);
         self.persons = persons;
         Ok(())
     }
 }
 
+fn read(persons: &[KeptPerson]) -> Vec<Vec<ReadName>> {
+    persons.iter().map(|kept| kept.names().map(ReadName::new).collect()).collect()
+}
+
 /// Refuses duplicate names and numbers: they would merge two persons.
 fn check(persons: &[KeptPerson]) -> Result<(), String> {
-    let (mut numbers, mut names) = (HashMap::new(), HashMap::new());
     for (at, person) in persons.iter().enumerate() {
         person.names().try_for_each(check_name)?;
         if person.number == PersonId::SOMEBODY {
             return Err(format!("{:?} has the number {}, which means somebody", person.name, PersonId::SOMEBODY));
         }
-        let of_number = numbers.insert(person.number, at);
-        let mut of_names = person.names().map(|name| names.insert(ReadName::new(name).whole().to_owned(), at));
-        if let Some(other) = of_number.or_else(|| of_names.find_map(|other| other.filter(|other| *other != at))) {
-            return Err(format!("{:?} and {:?} have the same name or number", persons[other].name, person.name));
+        let is_one = |other: &&KeptPerson| {
+            other.number == person.number || other.names().any(|name| person.names().any(|own| same_name(own, name)))
+        };
+        if let Some(other) = persons[..at].iter().find(is_one) {
+            return Err(format!("{:?} and {:?} have the same name or number", other.name, person.name));
         }
     }
     Ok(())
@@ -169,8 +133,6 @@ fn check(persons: &[KeptPerson]) -> Result<(), String> {
 
 #[cfg(test)]
 mod tests {
-    use roomcast_core::narration::person_number;
-
     use super::*;
     use crate::daemon::{Journal, JournalOptions};
 
@@ -202,9 +164,9 @@ mod tests {
         file.put(ada().renamed("Ada L.")).unwrap();
         let again = PersonsFile::load(directory.path());
         assert_eq!(again.persons(), file.persons());
-        assert_eq!(again.number_of(" ada l. "), PersonId(3));
+        let number_of = |name: &str| again.given_number(&ReadName::new(name));
         // A narrator that knows the former name continues to use it.
-        assert_eq!((again.number_of("ada"), again.number_of("adele")), (PersonId(3), person_number("adele")));
+        assert_eq!([" ada l. ", "ada", "adele"].map(number_of), [Some(PersonId(3)), Some(PersonId(3)), None]);
         file.remove(PersonId(3)).unwrap();
         assert!(file.is_kept() && PersonsFile::load(directory.path()).of_number(PersonId(3)).is_none());
         // When it cannot be written, nothing changes.

@@ -34,7 +34,7 @@ impl Broker {
     ///
     /// [`MqttError`] for an address or a file that cannot be used.
     pub fn options(&self) -> Result<MqttOptions, MqttError> {
-        let wrong = || MqttError::Address { given: self.address.clone() };
+        let wrong = || MqttError::Address(self.address.clone());
         let (scheme, rest) = self.address.split_once("://").ok_or_else(wrong)?;
         let secure = match scheme {
             "mqtt" => false,
@@ -62,21 +62,21 @@ impl Broker {
         // The client allocates memory for this many, and publishes none.
         options.set_outgoing_inflight_upper_limit(MESSAGES_AHEAD_MAX);
         if let Some(path) = &self.credentials {
-            let text = read_text_at_most(path, RULES_BYTES_MAX)
-                .map_err(|source| MqttError::Read { path: path.clone(), source })?;
+            let text =
+                read_text_at_most(path, RULES_BYTES_MAX).map_err(|source| MqttError::Read(path.clone(), source))?;
             let mut lines = text.trim_start_matches('\u{feff}').lines();
             let (Some(user), Some(password)) = (lines.next().filter(|user| !user.is_empty()), lines.next()) else {
-                return Err(MqttError::Credentials { path: path.clone() });
+                return Err(MqttError::Credentials(path.clone()));
             };
             options.set_credentials(user, password);
         }
         match (&self.authority, secure) {
             (Some(path), true) => {
                 let ca = read_at_most(path, RULES_BYTES_MAX)
-                    .map_err(|source| MqttError::Read { path: path.clone(), source })?
-                    .ok_or_else(|| MqttError::Authority { path: path.clone() })?;
+                    .map_err(|source| MqttError::Read(path.clone(), source))?
+                    .ok_or_else(|| MqttError::Authority(path.clone()))?;
                 if !CertificateDer::pem_slice_iter(&ca).any(|certificate| certificate.is_ok()) {
-                    return Err(MqttError::Authority { path: path.clone() });
+                    return Err(MqttError::Authority(path.clone()));
                 }
                 // A second call finds one installed, which is fine.
                 let _installed = rustls::crypto::ring::default_provider().install_default();
@@ -88,7 +88,7 @@ impl Broker {
             }
             (None, false) => {}
             (authority, _) => {
-                return Err(MqttError::Scheme { given: self.address.clone(), authority: authority.is_some() });
+                return Err(MqttError::Scheme(self.address.clone(), authority.is_some()));
             }
         }
         Ok(options)

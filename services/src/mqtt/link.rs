@@ -127,7 +127,7 @@ impl Link {
         if let Some(Will { topic, payload }) = will {
             options.set_last_will(LastWill::new(topic, payload, QoS::AtLeastOnce, true, None));
         }
-        let failed = |error: std::io::Error| MqttError::Client { reason: error.to_string() };
+        let failed = |error: std::io::Error| MqttError::Client(error.to_string());
         let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build();
         let runtime = runtime.map_err(failed)?;
         let (client, events) = AsyncClient::new(options.clone(), SAYING_MAX);

@@ -29,37 +29,17 @@ pub enum LookError {
     #[error(transparent)]
     Setup(#[from] MqttError),
     /// There is no answer at the address.
-    #[error("no broker answers at {broker} ({fault})")]
-    Unreachable {
-        /// Host and port.
-        broker: String,
-        /// The system's error.
-        fault: String,
-    },
+    #[error("no broker answers at {0} ({1})")]
+    Unreachable(String, String),
     /// The broker rejects the login.
-    #[error("the broker {broker} refuses the login ({reason})")]
-    Login {
-        /// Host and port.
-        broker: String,
-        /// The broker's reason.
-        reason: String,
-    },
+    #[error("the broker {0} refuses the login ({1})")]
+    Login(String, String),
     /// The other side speaks another protocol, or an older MQTT.
-    #[error("what answers at {broker} is no MQTT 5 broker ({fault})")]
-    Foreign {
-        /// Host and port.
-        broker: String,
-        /// The fault.
-        fault: String,
-    },
+    #[error("what answers at {0} is no MQTT 5 broker ({1})")]
+    Foreign(String, String),
     /// TLS fails.
-    #[error("no secure connection to {broker} ({fault})")]
-    Tls {
-        /// Host and port.
-        broker: String,
-        /// The fault.
-        fault: String,
-    },
+    #[error("no secure connection to {0} ({1})")]
+    Tls(String, String),
 }
 
 impl LookError {
@@ -133,7 +113,7 @@ pub fn look(
     options.set_clean_start(true).set_session_expiry_interval(Some(0));
     options.set_connection_timeout(CONNECT_MAX.as_secs());
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build();
-    let runtime = runtime.map_err(|error| MqttError::Client { reason: error.to_string() })?;
+    let runtime = runtime.map_err(|error| MqttError::Client(error.to_string()))?;
     runtime.block_on(turn(options, filters, time, enough))
 }
 
@@ -156,7 +136,7 @@ async fn turn(
                 break;
             }
             let fault = format!("no answer within {} s", CONNECT_MAX.as_secs());
-            return Err(LookError::Unreachable { broker: name, fault });
+            return Err(LookError::Unreachable(name, fault));
         };
         match event {
             Ok(Event::Incoming(Packet::ConnAck(_))) => {
@@ -190,7 +170,7 @@ async fn turn(
 fn subscribe(client: &AsyncClient, filter: Option<&String>) -> Result<(), LookError> {
     let Some(filter) = filter else { return Ok(()) };
     let asked = client.try_subscribe(filter, QoS::AtMostOnce);
-    asked.map_err(|error| MqttError::Client { reason: error.to_string() }.into())
+    asked.map_err(|error| MqttError::Client(error.to_string()).into())
 }
 
 fn fault(broker: String, error: ConnectionError) -> LookError {
@@ -201,28 +181,26 @@ fn fault(broker: String, error: ConnectionError) -> LookError {
     match error {
         ConnectionError::ConnectionRefused(code) => match code {
             BadUserNamePassword | NotAuthorized | BadAuthenticationMethod | Banned => {
-                LookError::Login { broker, reason: format!("{code:?}") }
+                LookError::Login(broker, format!("{code:?}"))
             }
-            RefusedProtocolVersion | UnsupportedProtocolVersion => {
-                LookError::Foreign { broker, fault: format!("{code:?}") }
-            }
-            _ => LookError::Unreachable { broker, fault: format!("it refuses the connection: {code:?}") },
+            RefusedProtocolVersion | UnsupportedProtocolVersion => LookError::Foreign(broker, format!("{code:?}")),
+            _ => LookError::Unreachable(broker, format!("it refuses the connection: {code:?}")),
         },
         // Another protocol also ends the connection without an answer.
         ConnectionError::Io(error) | ConnectionError::Tls(rumqttc::TlsError::Io(error))
             if is_of_network(error.kind()) =>
         {
-            LookError::Unreachable { broker, fault: error.to_string() }
+            LookError::Unreachable(broker, error.to_string())
         }
-        ConnectionError::Tls(error) => LookError::Tls { broker, fault: error.to_string() },
+        ConnectionError::Tls(error) => LookError::Tls(broker, error.to_string()),
         ConnectionError::Timeout(_) => {
             let fault = format!("it accepts the connection and says nothing within {} s", CONNECT_MAX.as_secs());
-            LookError::Foreign { broker, fault }
+            LookError::Foreign(broker, fault)
         }
         ConnectionError::Io(error) if error.kind() == ErrorKind::InvalidData => {
-            LookError::Tls { broker, fault: error.to_string() }
+            LookError::Tls(broker, error.to_string())
         }
-        error => LookError::Foreign { broker, fault: error.to_string() },
+        error => LookError::Foreign(broker, error.to_string()),
     }
 }
 

@@ -1,41 +1,4 @@
-//! Narration from MQTT: devices' states become sentences by a rules file.
-//!
-//! ```toml
-//! [[rule]]
-//! topic = "home/binary_sensor/fridge_door/state"   # an MQTT filter; + and # as MQTT has them
-//! when = "on"                                      # the value that the rule is for; by default every value
-//! say = "They open the fridge."
-//!
-//! [[rule]]
-//! topic = "home/+/+/state"
-//! field = "/state"                                 # a JSON pointer into the payload; without it the payload is the value
-//! say = "the {2} is {value}"                       # {1}, {2}: the levels in place of the +, with underscores as spaces
-//! person = "ada"                                   # a name, a number or a placeholder; by default an unknown person
-//!
-//! [[rule]]
-//! topic = "doorbell/faces"
-//! field = "/event"
-//! when = "seen"
-//! presence = "present"
-//! person = "{/name}"                               # a JSON pointer in braces: the payload's value there
-//!
-//! [[rule]]
-//! topic = "home/motion/+/state"
-//! sensor = "motion"                                # the state of a sensor: on, off, or null if it is unavailable
-//! room = "{1}"
-//!
-//! [[rule]]
-//! topic = "home/plug/power"
-//! above = 15                                       # or `below`, `when`, `unless`: the values that mean on
-//! sensor = "appliance"
-//! room = "kitchen"
-//!
-//! [[rule]]
-//! topic = "home/binary_sensor/front_door/state"
-//! when = "off"
-//! presence = "away"
-//! quiet_s = 600.0                                  # sent after so many seconds without another line
-//! ```
+//! Narration from MQTT: devices' states become sentences by a rules file; `docs/mqtt.md` is its manual.
 //!
 //! Each value that rules read in a message (the payload, or a `field`) gives at most one sentence, one presence and one sensor's state: of
 //! the matching rules the first one counts. Each matching rule with `quiet_s` also begins to wait. A message without a matching rule is
@@ -116,70 +79,38 @@ pub(crate) const KEEP_ALIVE: Duration = Duration::from_secs(30);
 #[non_exhaustive]
 pub enum MqttError {
     /// A file cannot be read.
-    #[error("failed to read {path}: {source}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
+    #[error("failed to read {0}: {1}")]
+    Read(PathBuf, #[source] std::io::Error),
     /// A file of credentials has no user name, or no second line.
     #[error(
-        "{path} is no file of credentials: give the user name in the first line, and the password in the second, which may be empty"
+        "{0} is no file of credentials: give the user name in the first line, and the password in the second, which may be empty"
     )]
-    Credentials {
-        /// The file.
-        path: PathBuf,
-    },
+    Credentials(PathBuf),
     /// The rules are malformed.
-    #[error("the rules {path} are malformed: {reason}; docs/mqtt.md shows what they look like")]
-    Rules {
-        /// The file.
-        path: PathBuf,
-        /// The place and the fault.
-        reason: String,
-    },
+    #[error("the rules {0} are malformed: {1}; docs/mqtt.md shows what they look like")]
+    Rules(PathBuf, String),
     /// The broker's address is malformed.
-    #[error("{given:?} is no broker: {}", address_remedy(.given))]
-    Address {
-        /// The given address.
-        given: String,
-    },
+    #[error("{0:?} is no broker: {remedy}", remedy = address_remedy(.0))]
+    Address(String),
     /// The broker's address contains a login.
     #[error(
         "the broker's address has a user name or a password in it: write them into a file, a line each, and give that (--mqtt-credentials FILE, mqtt.credentials)"
     )]
     Login,
     /// Scheme and CA file do not fit together.
-    #[error("{given:?} with{} a CA file: give mqtts://HOST[:PORT] with --mqtt-ca FILE, or mqtt://HOST[:PORT] without", if *.authority { "" } else { "out" })]
-    Scheme {
-        /// The address.
-        given: String,
-        /// Whether there is a CA file.
-        authority: bool,
-    },
+    #[error("{0:?} with{out} a CA file: give mqtts://HOST[:PORT] with --mqtt-ca FILE, or mqtt://HOST[:PORT] without", out = if *.1 { "" } else { "out" })]
+    Scheme(String, bool),
     /// The CA file has no certificate.
-    #[error("{path} holds no certificate: give a PEM file with those that the broker's is signed by")]
-    Authority {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("{0} holds no certificate: give a PEM file with those that the broker's is signed by")]
+    Authority(PathBuf),
     /// The broker rejects all filters of the rules.
     #[error(
-        "the broker {broker} refuses every subscription ({reason}): give this client the right to read the topics of the rules, or change the rules"
+        "the broker {0} refuses every subscription ({1}): give this client the right to read the topics of the rules, or change the rules"
     )]
-    Refused {
-        /// The broker's address.
-        broker: String,
-        /// The last filter and the broker's reason.
-        reason: String,
-    },
+    Refused(String, String),
     /// The client gave up.
-    #[error("the MQTT client failed: {reason}")]
-    Client {
-        /// The reason.
-        reason: String,
-    },
+    #[error("the MQTT client failed: {0}")]
+    Client(String),
 }
 
 /// Receives messages and writes narration as lines of JSON to `out`, until a stop is requested or `out` is closed. It reconnects for ever.
@@ -236,7 +167,7 @@ pub fn rehearse(
 }
 
 fn failed(error: impl Display) -> MqttError {
-    MqttError::Client { reason: error.to_string() }
+    MqttError::Client(error.to_string())
 }
 
 #[cfg(test)]

@@ -251,8 +251,8 @@ impl Rules {
         // A relative path in an error would not show its folder.
         let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         match read_text_at_most(&path, RULES_BYTES_MAX) {
-            Ok(text) => Self::parse(&text).map_err(|reason| MqttError::Rules { path, reason }),
-            Err(source) => Err(MqttError::Read { path, source }),
+            Ok(text) => Self::parse(&text).map_err(|reason| MqttError::Rules(path, reason)),
+            Err(source) => Err(MqttError::Read(path, source)),
         }
     }
 

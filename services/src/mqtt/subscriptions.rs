@@ -150,7 +150,7 @@ impl Subscriptions {
                 self.take_over(&filter);
                 if self.answered == self.filters.len() && self.granted == 0 {
                     let reason = format!("{filter:?}: {refused:?}");
-                    return Err(MqttError::Refused { broker: broker.to_owned(), reason });
+                    return Err(MqttError::Refused(broker.to_owned(), reason));
                 }
             }
         }

@@ -16,7 +16,7 @@ use mcap::McapError;
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use roomcast_ipc::raw::{
-    ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
+    ByteImage, DecisionV1, ForecastV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
     RoomScoresV1,
 };
 use roomcast_ipc::{Presence, question};
@@ -58,79 +58,40 @@ roomcast_core::choices! {
 #[non_exhaustive]
 pub enum RecordingError {
     /// The file cannot be opened or read.
-    #[error("failed to use the recording {path}: {source}; check the path and its permissions")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
+    #[error("failed to use the recording {0}: {1}; check the path and its permissions")]
+    Io(PathBuf, #[source] std::io::Error),
     /// The file cannot be written to its end.
     #[error(
-        "failed to write the recording {path}: {source}; make room on its disk, or record elsewhere. Of what was written up to then `mcap recover` makes a whole recording"
+        "failed to write the recording {0}: {1}; make room on its disk, or record elsewhere. Of what was written up to then `mcap recover` makes a whole recording"
     )]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// The error of the system or the writer.
-        source: std::io::Error,
-    },
+    Write(PathBuf, #[source] std::io::Error),
     /// The file exists, and is not overwritten.
-    #[error("the recording {path} exists already; choose another name, or move it away")]
-    Exists {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("the recording {0} exists already; choose another name, or move it away")]
+    Exists(PathBuf),
     /// The file is larger than [`FILE_BYTES_MAX`].
     #[error(
-        "the recording {path} has more than {FILE_BYTES_MAX} bytes, unpacked: record fewer seconds at a time (--seconds)"
+        "the recording {0} has more than {FILE_BYTES_MAX} bytes, unpacked: record fewer seconds at a time (--seconds)"
     )]
-    TooLarge {
-        /// The file.
-        path: PathBuf,
-    },
+    TooLarge(PathBuf),
     /// A chunk is larger than [`RECORD_BYTES_MAX`].
     #[error(
-        "the recording {path} has a chunk of {bytes} bytes, unpacked, and at most {RECORD_BYTES_MAX} are read: write it again with smaller chunks, for instance with `mcap filter --chunk-size`"
+        "the recording {0} has a chunk of {1} bytes, unpacked, and at most {RECORD_BYTES_MAX} are read: write it again with smaller chunks, for instance with `mcap filter --chunk-size`"
     )]
-    Chunk {
-        /// The file.
-        path: PathBuf,
-        /// The claimed size, in bytes.
-        bytes: u64,
-    },
+    Chunk(PathBuf, u64),
     /// A stop was requested before the recording was read.
-    #[error("stopped before the recording {path} was read")]
-    Stopped {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("stopped before the recording {0} was read")]
+    Stopped(PathBuf),
     /// The file is not a valid MCAP file.
-    #[error("the recording {path} is damaged or no MCAP file: {source}; `mcap recover` saves what can be saved")]
-    Mcap {
-        /// The file.
-        path: PathBuf,
-        /// The reader's error.
-        source: Box<McapError>,
-    },
+    #[error("the recording {0} is damaged or no MCAP file: {1}; `mcap recover` saves what can be saved")]
+    Mcap(PathBuf, #[source] Box<McapError>),
     /// The file was written for other programs.
     #[error(
-        "the recording {path} has the profile {profile:?}, and only those of the profile \"roomcast\" are read: record without --profile"
+        "the recording {0} has the profile {1:?}, and only those of the profile \"roomcast\" are read: record without --profile"
     )]
-    Profile {
-        /// The file.
-        path: PathBuf,
-        /// Its profile.
-        profile: String,
-    },
+    Profile(PathBuf, String),
     /// A message is longer than CDR allows.
-    #[error("failed to write a message of the topic {topic}: {source}")]
-    Cdr {
-        /// The topic.
-        topic: String,
-        /// The serialiser's error.
-        source: CdrError,
-    },
+    #[error("failed to write a message of the topic {0}: {1}")]
+    Cdr(String, #[source] CdrError),
     /// A message in it is not one of Roomcast's.
     #[error(
         "message {index} of the recording {path}, on {topic}: {reason}; it was written by another program or damaged"
@@ -147,54 +108,72 @@ pub enum RecordingError {
     },
 }
 
-/// A message of any publish-subscribe service.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Recorded {
+/// The enum of all kinds of messages, and the functions that do the same for each kind.
+macro_rules! recorded {
+    ($($(#[$doc:meta])* $kind:ident($message:ty),)*) => {
+        /// A message of any publish-subscribe service.
+        #[derive(Debug, Clone, PartialEq)]
+        pub enum Recorded {
+            $($(#[$doc])* $kind(Box<$message>),)*
+        }
+
+        impl Recorded {
+            /// The service of the message.
+            #[must_use]
+            pub fn topic(&self) -> &'static str {
+                match self {
+                    $(Self::$kind(_) => <$message>::SERVICE.name,)*
+                }
+            }
+
+            /// The message's bytes as in shared memory.
+            #[must_use]
+            pub fn to_bytes(&self) -> Vec<u8> {
+                match self {
+                    $(Self::$kind(message) => message.to_bytes(),)*
+                }
+            }
+
+            fn sequence(&self) -> u64 {
+                match self {
+                    $(Self::$kind(message) => message.sequence,)*
+                }
+            }
+
+            fn decode(topic: &str, bytes: &[u8]) -> Result<Self, String> {
+                fn message<M: Message + ByteImage>(bytes: &[u8]) -> Result<Box<M>, String> {
+                    let message =
+                        M::from_bytes(bytes).ok_or_else(|| format!("{} bytes are no {}", bytes.len(), M::TYPE_NAME))?;
+                    message.check().map_err(|error| error.to_string())?;
+                    Ok(Box::new(message))
+                }
+                $(if topic == <$message>::SERVICE.name {
+                    return Ok(Self::$kind(message(bytes)?));
+                })*
+                Err(format!("the service {topic:?} is unknown"))
+            }
+        }
+    };
+}
+
+recorded! {
     /// Narration.
-    Narration(Box<NarrationV1>),
+    Narration(NarrationV1),
     /// Room scores.
-    RoomScores(Box<RoomScoresV1>),
+    RoomScores(RoomScoresV1),
     /// The scores for each person.
-    PersonScores(Box<PersonScoresV1>),
+    PersonScores(PersonScoresV1),
     /// Forecast.
-    Forecast(Box<ForecastV1>),
+    Forecast(ForecastV1),
     /// The forecast for each person.
-    PersonForecasts(Box<PersonForecastsV1>),
+    PersonForecasts(PersonForecastsV1),
     /// Decision.
-    Decision(Box<DecisionV1>),
+    Decision(DecisionV1),
     /// Robot's report.
-    RobotReport(Box<RobotReportV1>),
+    RobotReport(RobotReportV1),
 }
 
 impl Recorded {
-    /// The service of the message.
-    #[must_use]
-    pub fn topic(&self) -> &'static str {
-        match self {
-            Self::Narration(_) => NarrationV1::SERVICE.name,
-            Self::RoomScores(_) => RoomScoresV1::SERVICE.name,
-            Self::PersonScores(_) => PersonScoresV1::SERVICE.name,
-            Self::Forecast(_) => ForecastV1::SERVICE.name,
-            Self::PersonForecasts(_) => PersonForecastsV1::SERVICE.name,
-            Self::Decision(_) => DecisionV1::SERVICE.name,
-            Self::RobotReport(_) => RobotReportV1::SERVICE.name,
-        }
-    }
-
-    /// The message's bytes as in shared memory.
-    #[must_use]
-    pub fn to_bytes(&self) -> Vec<u8> {
-        match self {
-            Self::Narration(message) => message.to_bytes(),
-            Self::RoomScores(message) => message.to_bytes(),
-            Self::PersonScores(message) => message.to_bytes(),
-            Self::Forecast(message) => message.to_bytes(),
-            Self::PersonForecasts(message) => message.to_bytes(),
-            Self::Decision(message) => message.to_bytes(),
-            Self::RobotReport(message) => message.to_bytes(),
-        }
-    }
-
     fn readable(&self) -> Value {
         match self {
             Self::Narration(message) => json!({
@@ -259,37 +238,6 @@ impl Recorded {
             }),
         }
     }
-
-    fn sequence(&self) -> u64 {
-        match self {
-            Self::Narration(message) => message.sequence,
-            Self::RoomScores(message) => message.sequence,
-            Self::PersonScores(message) => message.sequence,
-            Self::Forecast(message) => message.sequence,
-            Self::PersonForecasts(message) => message.sequence,
-            Self::Decision(message) => message.sequence,
-            Self::RobotReport(message) => message.sequence,
-        }
-    }
-
-    fn decode(topic: &str, bytes: &[u8]) -> Result<Self, String> {
-        fn message<M: Message + ByteImage>(bytes: &[u8]) -> Result<Box<M>, String> {
-            let message =
-                M::from_bytes(bytes).ok_or_else(|| format!("{} bytes are no {}", bytes.len(), M::TYPE_NAME))?;
-            message.check().map_err(|error| error.to_string())?;
-            Ok(Box::new(message))
-        }
-        Ok(match topic {
-            topic if topic == NarrationV1::SERVICE.name => Self::Narration(message(bytes)?),
-            topic if topic == RoomScoresV1::SERVICE.name => Self::RoomScores(message(bytes)?),
-            topic if topic == PersonScoresV1::SERVICE.name => Self::PersonScores(message(bytes)?),
-            topic if topic == ForecastV1::SERVICE.name => Self::Forecast(message(bytes)?),
-            topic if topic == PersonForecastsV1::SERVICE.name => Self::PersonForecasts(message(bytes)?),
-            topic if topic == DecisionV1::SERVICE.name => Self::Decision(message(bytes)?),
-            topic if topic == RobotReportV1::SERVICE.name => Self::RobotReport(message(bytes)?),
-            other => return Err(format!("the service {other:?} is unknown")),
-        })
-    }
 }
 
 /// A time in Foxglove's form.
@@ -304,11 +252,6 @@ fn finite(value: f64) -> Option<f64> {
 
 /// Long, because it is a list: each kind of message with its fields.
 fn schemas() -> [(&'static str, &'static str, Value); 7] {
-    let object = |title: &str, properties: Value| {
-        let mut properties = properties;
-        properties["bytes"] = json!({"type": "string", "description": "the message as in shared memory, hexadecimal"});
-        json!({"$schema": SCHEMAS, "title": title, "type": "object", "properties": properties})
-    };
     let (text, integer, number) = (json!({"type": "string"}), json!({"type": "integer"}), json!({"type": "number"}));
     let point = json!({"type": "object", "title": "time", "properties": {"sec": integer, "nsec": integer}});
     let room = json!({"type": "array", "items": {"type": "object", "properties":
@@ -318,88 +261,44 @@ fn schemas() -> [(&'static str, &'static str, Value); 7] {
         {"wait": integer, "tokenise": integer, "prefix": integer, "trie": integer, "ground": integer}});
     let course =
         json!({"type": "array", "items": {"type": "object", "properties": {"id": text, "probability": numbers}}});
+    fn schema<M: Message>(properties: Value) -> (&'static str, &'static str, Value) {
+        let mut properties = properties;
+        properties["bytes"] = json!({"type": "string", "description": "the message as in shared memory, hexadecimal"});
+        let schema = json!({"$schema": SCHEMAS, "title": M::TYPE_NAME, "type": "object", "properties": properties});
+        (M::SERVICE.name, M::TYPE_NAME, schema)
+    }
     [
-        (
-            NarrationV1::SERVICE.name,
-            NarrationV1::TYPE_NAME,
-            object(
-                NarrationV1::TYPE_NAME,
-                json!({
-                    "source": text, "person": integer, "person_name": text, "kind": integer, "text": text, "epoch": text, "sequence": integer, "observed": point,
-                }),
-            ),
-        ),
-        (
-            RoomScoresV1::SERVICE.name,
-            RoomScoresV1::TYPE_NAME,
-            object(
-                RoomScoresV1::TYPE_NAME,
-                json!({
-                    "epoch": text, "sequence": integer, "computed": point, "label_mass": number, "flags": integer, "rooms": room,
-                    "timing_ns": timing, "model": text, "map": text,
-                }),
-            ),
-        ),
-        (
-            PersonScoresV1::SERVICE.name,
-            PersonScoresV1::TYPE_NAME,
-            object(
-                PersonScoresV1::TYPE_NAME,
-                json!({
-                    "epoch": text, "sequence": integer, "persons": integer, "map": text,
-                    "person": {"type": "array", "items": {"type": "object", "properties":
-                        {"person": integer, "name": text, "presence": text, "since_ns": integer, "elsewhere": number,
-                            "flags": integer, "label_mass": number, "rooms": room}}},
-                }),
-            ),
-        ),
-        (
-            ForecastV1::SERVICE.name,
-            ForecastV1::TYPE_NAME,
-            object(
-                ForecastV1::TYPE_NAME,
-                json!({
-                    "epoch": text, "sequence": integer, "flags": integer, "horizon_s": numbers, "elsewhere": numbers, "rooms": course,
-                }),
-            ),
-        ),
-        (
-            PersonForecastsV1::SERVICE.name,
-            PersonForecastsV1::TYPE_NAME,
-            object(
-                PersonForecastsV1::TYPE_NAME,
-                json!({
-                    "epoch": text, "sequence": integer, "persons": integer, "horizon_s": numbers,
-                    "person": {"type": "array", "items": {"type": "object", "properties":
-                        {"person": integer, "name": text, "presence": text, "flags": integer, "elsewhere": numbers,
-                            "rooms": course}}},
-                }),
-            ),
-        ),
-        (
-            DecisionV1::SERVICE.name,
-            DecisionV1::TYPE_NAME,
-            object(
-                DecisionV1::TYPE_NAME,
-                json!({
-                    "robot": text, "robot_name": text, "from": text, "to": text, "policy": text, "reason": text, "probability": number,
-                    "stay_s": number,
-                    "flags": integer, "sequence": integer, "scores_sequence": integer, "decided": point, "action": integer, "cancels": integer,
-                }),
-            ),
-        ),
-        (
-            RobotReportV1::SERVICE.name,
-            RobotReportV1::TYPE_NAME,
-            object(
-                RobotReportV1::TYPE_NAME,
-                json!({
-                    "robot": text, "robot_name": text, "kind": integer, "room": text,
-                    "position_m": {"type": ["array", "null"], "items": number}, "battery": {"type": ["number", "null"]}, "note": text,
-                    "decision_sequence": integer, "epoch": text, "sequence": integer, "reported": point,
-                }),
-            ),
-        ),
+        schema::<NarrationV1>(json!({
+            "source": text, "person": integer, "person_name": text, "kind": integer, "text": text, "epoch": text, "sequence": integer, "observed": point,
+        })),
+        schema::<RoomScoresV1>(json!({
+            "epoch": text, "sequence": integer, "computed": point, "label_mass": number, "flags": integer, "rooms": room,
+            "timing_ns": timing, "model": text, "map": text,
+        })),
+        schema::<PersonScoresV1>(json!({
+            "epoch": text, "sequence": integer, "persons": integer, "map": text,
+            "person": {"type": "array", "items": {"type": "object", "properties":
+                {"person": integer, "name": text, "presence": text, "since_ns": integer, "elsewhere": number,
+                    "flags": integer, "label_mass": number, "rooms": room}}},
+        })),
+        schema::<ForecastV1>(json!({
+            "epoch": text, "sequence": integer, "flags": integer, "horizon_s": numbers, "elsewhere": numbers, "rooms": course,
+        })),
+        schema::<PersonForecastsV1>(json!({
+            "epoch": text, "sequence": integer, "persons": integer, "horizon_s": numbers,
+            "person": {"type": "array", "items": {"type": "object", "properties":
+                {"person": integer, "name": text, "presence": text, "flags": integer, "elsewhere": numbers, "rooms": course}}},
+        })),
+        schema::<DecisionV1>(json!({
+            "robot": text, "robot_name": text, "from": text, "to": text, "policy": text, "reason": text, "probability": number,
+            "stay_s": number, "flags": integer, "sequence": integer, "scores_sequence": integer, "decided": point,
+            "action": integer, "cancels": integer,
+        })),
+        schema::<RobotReportV1>(json!({
+            "robot": text, "robot_name": text, "kind": integer, "room": text,
+            "position_m": {"type": ["array", "null"], "items": number}, "battery": {"type": ["number", "null"]}, "note": text,
+            "decision_sequence": integer, "epoch": text, "sequence": integer, "reported": point,
+        })),
     ]
 }
 
@@ -597,9 +496,9 @@ pub fn read(path: &Path) -> Result<Recording, RecordingError> {
 ///
 /// As [`read`], and [`RecordingError::Stopped`].
 pub fn read_until(path: &Path, is_stopped: &dyn Fn() -> bool) -> Result<Recording, RecordingError> {
-    let io = |source| RecordingError::Io { path: path.to_owned(), source };
+    let io = |source| RecordingError::Io(path.to_owned(), source);
     let bytes = read_at_most(path, FILE_BYTES_MAX).map_err(io)?;
-    decode_until(path, &bytes.ok_or_else(|| RecordingError::TooLarge { path: path.to_owned() })?, is_stopped, None)
+    decode_until(path, &bytes.ok_or_else(|| RecordingError::TooLarge(path.to_owned()))?, is_stopped, None)
 }
 
 /// Reads one moment of a recording; `None` if the recording has no such moment.
@@ -608,9 +507,9 @@ pub fn read_until(path: &Path, is_stopped: &dyn Fn() -> bool) -> Result<Recordin
 ///
 /// [`RecordingError`], for the first message that is none, and for a moment that is none.
 pub fn moment(path: &Path, wanted: Wanted) -> Result<Option<RecordedMoment>, RecordingError> {
-    let io = |source| RecordingError::Io { path: path.to_owned(), source };
+    let io = |source| RecordingError::Io(path.to_owned(), source);
     let bytes = read_at_most(path, FILE_BYTES_MAX).map_err(io)?;
-    find(path, &bytes.ok_or_else(|| RecordingError::TooLarge { path: path.to_owned() })?, wanted)
+    find(path, &bytes.ok_or_else(|| RecordingError::TooLarge(path.to_owned()))?, wanted)
 }
 
 /// As [`moment`], of a recording's bytes; `path` is for errors.
@@ -650,10 +549,10 @@ fn decode_until(
     mut search: Option<&mut Search>,
 ) -> Result<Recording, RecordingError> {
     chunks::check(bytes).map_err(|fault| match fault {
-        TooMuch::Chunk(bytes) => RecordingError::Chunk { path: path.to_owned(), bytes },
-        TooMuch::All => RecordingError::TooLarge { path: path.to_owned() },
+        TooMuch::Chunk(bytes) => RecordingError::Chunk(path.to_owned(), bytes),
+        TooMuch::All => RecordingError::TooLarge(path.to_owned()),
     })?;
-    let mcap = |source| RecordingError::Mcap { path: path.to_owned(), source: Box::new(source) };
+    let mcap = |source| RecordingError::Mcap(path.to_owned(), Box::new(source));
     let wrong = |index, topic: &str, reason| {
         let (path, topic) = (path.to_owned(), topic.to_owned());
         RecordingError::Message { path, index, topic, reason }
@@ -667,7 +566,7 @@ fn decode_until(
     while let Some(event) = reader.next_event() {
         events += 1;
         if events.is_multiple_of(EVENTS_BETWEEN_LOOKS) && is_stopped() {
-            return Err(RecordingError::Stopped { path: path.to_owned() });
+            return Err(RecordingError::Stopped(path.to_owned()));
         }
         let (opcode, data) = match event {
             Err(_) if !is_finished && index > 0 => {
@@ -687,12 +586,12 @@ fn decode_until(
         // An empty record also has some bytes.
         unpacked = unpacked.saturating_add(data.len() as u64 + 9);
         if unpacked > FILE_BYTES_MAX {
-            return Err(RecordingError::TooLarge { path: path.to_owned() });
+            return Err(RecordingError::TooLarge(path.to_owned()));
         }
         match opcode {
             op::HEADER | op::CHANNEL | op::MESSAGE => match mcap::parse_record(opcode, data).map_err(mcap)? {
                 Record::Header(header) if !header.profile.is_empty() => {
-                    return Err(RecordingError::Profile { path: path.to_owned(), profile: header.profile });
+                    return Err(RecordingError::Profile(path.to_owned(), header.profile));
                 }
                 Record::Channel(channel) => {
                     topics.insert(channel.id, channel.topic);

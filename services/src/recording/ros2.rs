@@ -153,7 +153,7 @@ impl Ros2Recorder {
             log_time: stamp.received_ns.0,
             publish_time: stamp.made_unix_ns.0,
         };
-        let data = encode(message).map_err(|source| RecordingError::Cdr { topic: topic.to_owned(), source })?;
+        let data = encode(message).map_err(|source| RecordingError::Cdr(topic.to_owned(), source))?;
         self.tape.write(&header, &data)
     }
 

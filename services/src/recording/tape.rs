@@ -44,15 +44,15 @@ fn unwritten(path: &Path, error: McapError) -> RecordingError {
         McapError::Io(source) => source,
         other => std::io::Error::other(other),
     };
-    RecordingError::Write { path: path.to_owned(), source }
+    RecordingError::Write(path.to_owned(), source)
 }
 
 impl Tape {
     /// Creates the file; an existing one is not overwritten.
     pub(super) fn create(path: &Path, profile: &str) -> Result<Self, RecordingError> {
         let file = File::create_new(path).map_err(|source| match source.kind() {
-            std::io::ErrorKind::AlreadyExists => RecordingError::Exists { path: path.to_owned() },
-            _ => RecordingError::Io { path: path.to_owned(), source },
+            std::io::ErrorKind::AlreadyExists => RecordingError::Exists(path.to_owned()),
+            _ => RecordingError::Io(path.to_owned(), source),
         })?;
         let library = concat!("roomcast ", env!("CARGO_PKG_VERSION"));
         let writer = WriteOptions::new().profile(profile).library(library).create(BufWriter::new(file));

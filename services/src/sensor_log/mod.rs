@@ -1,27 +1,6 @@
 //! Narration from sensor logs in the form of public smart-home data sets. Each line is an interval with its start, end, sensor, kind and place. A rules
 //! file gives the sentences; `docs/sensors.md` is the manual.
 //!
-//! ```toml
-//! columns = ["start", "end", "sensor", "kind", "place"]   # the default; "-" for another column, or for the time of the day behind a date
-//!
-//! [[rule]]
-//! sensor = "fridge"                  # case does not matter; without it any sensor; the same for kind and place
-//! at = "start"                       # or "end"
-//! say = "They open the {sensor}."    # {sensor}, {kind}, {place}, {seconds}
-//!
-//! [[rule]]
-//! sensor = "front door"
-//! at = "end"
-//! presence = "away"                  # or "gone", or with a room "present" or "empty": presence without a sentence
-//! person = "ada"                     # a name or a number
-//! quiet_s = 600.0                    # said if no other rule fits for so long
-//!
-//! [[rule]]
-//! kind = "PIR"
-//! as = "motion"                      # the state of a sensor: on from start to end; without the column "end", `kind` is the state
-//! room = "{place}"
-//! ```
-//!
 //! Pure: from the texts of log and rules to items with the times between them.
 
 mod absences;
@@ -68,40 +47,23 @@ const SAMPLE_LINES: usize = 1_000;
 #[non_exhaustive]
 pub enum SensorError {
     /// A file cannot be read.
-    #[error("failed to read {path}: {source}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    #[error("failed to read {0}: {1}")]
+    Read(PathBuf, #[source] io::Error),
     /// The log is larger than [`FILE_BYTES_MAX`].
-    #[error("the sensor log {path} has more than {FILE_BYTES_MAX} bytes; split it by days")]
-    TooLarge {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("the sensor log {0} has more than {FILE_BYTES_MAX} bytes; split it by days")]
+    TooLarge(PathBuf),
     /// The rules are malformed.
-    #[error("the rules {path} are malformed: {reason}; docs/sensors.md shows what they look like")]
-    Rules {
-        /// The file.
-        path: PathBuf,
-        /// The place and the fault.
-        reason: String,
-    },
+    #[error("the rules {0} are malformed: {1}; docs/sensors.md shows what they look like")]
+    Rules(PathBuf, String),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 enum Column {
-    #[serde(rename = "start")]
     Start,
-    #[serde(rename = "end")]
     End,
-    #[serde(rename = "sensor")]
     Sensor,
-    #[serde(rename = "kind")]
     Kind,
-    #[serde(rename = "place")]
     Place,
     #[serde(rename = "-")]
     Other,
@@ -314,9 +276,9 @@ impl SensorRules {
     ///
     /// [`SensorError::Read`], [`SensorError::Rules`] with the rule's number.
     pub fn load(path: &Path) -> Result<Self, SensorError> {
-        let text = read_text_at_most(path, RULES_BYTES_MAX)
-            .map_err(|source| SensorError::Read { path: path.to_owned(), source })?;
-        Self::parse(&text).map_err(|reason| SensorError::Rules { path: path.to_owned(), reason })
+        let text =
+            read_text_at_most(path, RULES_BYTES_MAX).map_err(|source| SensorError::Read(path.to_owned(), source))?;
+        Self::parse(&text).map_err(|reason| SensorError::Rules(path.to_owned(), reason))
     }
 
     /// Reads and checks the text of a rules file.
@@ -355,9 +317,9 @@ impl SensorRules {
     ///
     /// [`SensorError::Read`], [`SensorError::TooLarge`].
     pub fn narrate_file(&self, path: &Path, person: &Who) -> Result<SensorLog, SensorError> {
-        let read = |source| SensorError::Read { path: path.to_owned(), source };
+        let read = |source| SensorError::Read(path.to_owned(), source);
         let bytes = read_at_most(path, FILE_BYTES_MAX).map_err(read)?;
-        let bytes = bytes.ok_or_else(|| SensorError::TooLarge { path: path.to_owned() })?;
+        let bytes = bytes.ok_or_else(|| SensorError::TooLarge(path.to_owned()))?;
         Ok(self.narrate(&bytes, person))
     }
 

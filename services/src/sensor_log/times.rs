@@ -5,20 +5,7 @@ const SECONDS_MAX: f64 = 1e11;
 /// The step of clocks in autumn, in seconds, on a Sunday before three o'clock.
 pub(super) const FOLD_S: f64 = 3_600.0;
 const FOLD_UNTIL_S: f64 = 3.0 * 3_600.0;
-const MONTHS: [&str; 12] = [
-    "january",
-    "february",
-    "march",
-    "april",
-    "may",
-    "june",
-    "july",
-    "august",
-    "september",
-    "october",
-    "november",
-    "december",
-];
+const MONTHS: &str = "january february march april may june july august september october november december";
 
 /// Whether a time is local: a date without a zone, not a number of seconds.
 pub(super) fn is_clock_time(field: &str) -> bool {
@@ -96,7 +83,7 @@ fn date(text: &str) -> Option<(i32, u8, u8)> {
 fn month(name: &str) -> Option<u8> {
     let name = name.to_ascii_lowercase();
     let is_name = |month: &&str| *month == name || month.get(..3) == Some(&name[..]);
-    (1..).zip(MONTHS).find(|(_, month)| is_name(month)).map(|(number, _)| number)
+    (1..).zip(MONTHS.split(' ')).find(|(_, month)| is_name(month)).map(|(number, _)| number)
 }
 
 pub(super) fn is_date(text: &str) -> bool {

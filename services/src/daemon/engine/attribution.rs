@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use roomcast_core::grounding::Grounding;
 use roomcast_core::ids::PersonId;
 use roomcast_core::narration::forms::{self, COUNT_MAX, Subject};
-use roomcast_core::narration::{DeviceState, Event, Observation, same_name};
+use roomcast_core::narration::{Event, Observation, device_state, same_name};
 
 use super::super::person_question::{UnderstoodLine, UnderstoodPerson};
 use super::super::persons::Persons;
@@ -110,7 +110,7 @@ impl Attribution {
             };
             UnderstoodLine {
                 sequence: own.id.sequence,
-                event: kind(&own.event).to_owned(),
+                event: <&str>::from(&own.event).to_owned(),
                 persons: own.persons().iter().map(person).collect(),
                 by: own.by,
                 left: found.is_some_and(|found| found.is_left),
@@ -213,23 +213,11 @@ impl Attribution {
     }
 }
 
-fn kind(event: &Event) -> &'static str {
-    match event {
-        Event::Did(_) => "did",
-        Event::Present(_) => "present",
-        Event::Away => "away",
-        Event::Gone => "gone",
-        Event::AllAway => "everybody-away",
-        Event::Empty(_) => "empty",
-        Event::Sensor(_) => "sensor",
-    }
-}
-
 /// Whether an event says that a device is off or done: the device may have done that by itself, so it says nothing about a place.
 pub(super) fn is_off(event: &Event) -> bool {
     const OFF: [&str; 6] = ["off", "closed", "locked", "done", "finished", "idle"];
-    let device = event.sentence().and_then(|sentence| DeviceState::parse(sentence.as_str()));
-    device.is_some_and(|device| OFF.contains(&device.state.as_str()))
+    let device = event.sentence().and_then(|sentence| device_state(sentence.as_str()));
+    device.is_some_and(|(_, state)| OFF.contains(&state))
 }
 
 /// The room with the largest share; `None` if all share alike.
