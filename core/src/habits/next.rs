@@ -149,7 +149,7 @@ impl Next {
     /// Forecasts the next room from the model's probabilities and the expected next things.
     pub(crate) fn rooms(&mut self, view: &View<'_>, context: &Context, model: &[f64], things: &[f64]) {
         let index = |number| view.home.room(number).filter(|room| *room < model.len());
-        self.here = index(context.get(Here));
+        self.here = view.home.room(context.get(Here)).filter(|room| *room < model.len());
         self.other.begin(model.len(), self.here);
         let own = self.other.row_mut(0);
         own.iter_mut().zip(model).for_each(|(own, p)| *own = p.max(FLOORS[1]));

@@ -202,7 +202,7 @@ impl Habits {
             let total: f64 = counts.iter().map(|(_, count)| f64::from(*count)).sum();
             let key = key(kind, slot, after);
             if total > MOST
-                || counts.iter().any(|(_, count)| !(*count > 0.0))
+                || !counts.iter().all(|(_, count)| *count > 0.0)
                 || habits.counts.get(key, touched_min).is_some()
             {
                 let text = format_args!("counts of kind {kind} are no counts, come twice, or are too large");
