@@ -307,7 +307,11 @@ impl Ros2 {
         if let Some(Router { connect, .. }) = self.router() {
             let here = connect.strip_prefix("tcp/").and_then(|address| address.rsplit_once(':'));
             if !here.is_some_and(|(host, _)| is_this_machine(host)) {
-                return refuse("ros2.connect", connect, "give tcp/localhost:PORT, because ROS 2's router is on the robot itself");
+                return refuse(
+                    "ros2.connect",
+                    connect,
+                    "give tcp/localhost:PORT, because ROS 2's router is on the robot itself",
+                );
             }
             Router { connect, ..Router::default() }.check("ros2.connect")?;
         }
