@@ -354,7 +354,7 @@ fn a_number_that_does_not_fit_is_answered_with_what_does() {
         (&["narrate", "--pace", "-1"], "give a number from 0 to 1000000000"),
         (&["narrate", "--pace", "soon"], "give a number from 0 to 1000000000"),
         (&["narrate", "--speed", "-2"], "give a number above 0, at most 1000000000"),
-        (&["narrate", "--person", "-1"], "give a number from 0 to 4294967294, or a name"),
+        (&["narrate", "--person", "-1"], "a name with a letter, or a person's number from 0 to 4294967294"),
         (&["replay", "day.mcap", "--speed", "fast"], "give a number above 0"),
         (&["replay", "day.mcap", "--linger", "-1"], "give a whole number from 0"),
         (&["record", "day.mcap", "--seconds", "0"], "give a whole number from 1"),

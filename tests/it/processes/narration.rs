@@ -112,7 +112,7 @@ fn persons_are_named_and_forgotten_over_a_kill() {
     let ada = roomcast_core::narration::person_number("ada").to_string();
     let row = |number: &str, name: &str, presence: &str| (number.to_owned(), name.to_owned(), presence.to_owned());
     let (code, answer, _) = ask(&world, &["list"]);
-    assert_eq!((code, persons(&answer)), (0, vec![row("7", "", "away"), row(&ada, "ada", "away")]));
+    assert_eq!((code, persons(&answer)), (0, vec![row("7", "", "away"), row(&ada, "Ada", "away")]));
     let (code, answer, errors) = ask(&world, &["rename", "7", "Ben"]);
     assert_eq!((code, &answer["kept"]), (0, &serde_json::json!(true)), "{errors}");
     let (code, _, errors) = ask(&world, &["rename", "7", "ADA"]);
@@ -122,7 +122,7 @@ fn persons_are_named_and_forgotten_over_a_kill() {
     world.end(daemon, Signal::KILL);
     let daemon = world.start_daemon();
     let (_, answer, _) = ask(&world, &["list"]);
-    assert_eq!(persons(&answer), [row("7", "Ben", "away"), row(&ada, "ada", "away")]);
+    assert_eq!(persons(&answer), [row("7", "Ben", "away"), row(&ada, "Ada", "away")]);
     let (code, answer, errors) = ask(&world, &["forget", "ada"]);
     assert_eq!((code, persons(&answer)), (0, vec![row("7", "Ben", "away")]), "{errors}");
     let files = ["roomcast.db", "roomcast.db-wal"].map(|name| std::fs::read(world.state().join(name)).unwrap());
