@@ -505,6 +505,7 @@ impl Domain {
         let made = fs::DirBuilder::new().mode(0o700).create(&self.root);
         made.or_else(|error| match error.kind() {
             io::ErrorKind::AlreadyExists => Ok(()),
+            io::ErrorKind::NotFound => Err(missing(&self.root, self.root.parent().unwrap_or(&self.root))),
             _ => Err(self.bad_root_by("cannot make it", error)),
         })?;
         let metadata =
