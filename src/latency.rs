@@ -377,7 +377,7 @@ impl Row {
 pub struct Taken {
     /// One histogram for each probe, in order.
     pub histograms: Vec<Histogram<u64>>,
-    /// The scores that were ready before.
+    /// Times from event to scores, if the scores were ready before the event.
     pub prepared: Histogram<u64>,
     /// The other scores.
     pub computed: Histogram<u64>,

@@ -58,7 +58,7 @@ pub(crate) struct EntityWords {
     /// English words that distinguish lamps.
     #[serde(deserialize_with = "set_of_bare")]
     lamps: BTreeSet<String>,
-    /// Things with a door, in English.
+    /// Things, other than doors, that a door sensor or a lock can belong to, in English.
     #[serde(deserialize_with = "set_of_bare")]
     opened: BTreeSet<String>,
     /// Names of areas that are not rooms.

@@ -217,7 +217,7 @@ pub enum IpcError {
     Port {
         /// Service name.
         service: &'static str,
-        /// `send`, `receive`, `wait` or `connect`.
+        /// The operation that failed, such as `send`, `receive`, `wait` or `connect`.
         operation: &'static str,
         /// The error of iceoryx2 or of the system.
         #[source]

@@ -663,7 +663,7 @@ impl StatusServer {
         Ok(Self { server })
     }
 
-    /// Answers all waiting requests. Returns their number.
+    /// Answers all waiting requests. Returns the number of answers that were sent.
     ///
     /// # Errors
     ///

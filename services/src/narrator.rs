@@ -152,7 +152,7 @@ impl Input {
 /// The pace of the narration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Pace {
-    /// Seconds before each narration; 0 is as fast as the daemon confirms.
+    /// Seconds before each narration. If 0, only the daemon's confirmations and the rate limit slow the narrator.
     Seconds(f64),
     /// A factor on the speed of the actions' real durations.
     Speed(f64),

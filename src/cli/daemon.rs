@@ -39,7 +39,7 @@ pub fn run(args: &Args) -> CommandResult {
         config.daemon.state.clone_from(&args.state);
     }
     config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
-    // The later readers of its files would report this fault less clearly.
+    // Code that reads the state directory later would report this fault less clearly.
     if let Some(fault) = config.state_fault() {
         return Err(Failure::new(exit_code::CONFIG, fault));
     }

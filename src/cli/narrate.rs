@@ -199,7 +199,7 @@ fn report(args: &Args, outcome: &Outcome, domain: &Domain, stopped: Option<Stopp
         print_json(&printed)?;
     }
     match stopped {
-        // The log reports refused and unconfirmed lines; they are no fault of the stop.
+        // The log reports refused lines. If a stop ends a service, refused and unconfirmed lines are no error.
         Some(Stopped::Service) => return Ok(()),
         Some(Stopped::Halfway) => {
             let Outcome { sent, confirmed, .. } = outcome;

@@ -11,7 +11,7 @@ pub const PROGRAM_BYTES_MAX: usize = 1 << 20;
 pub const STEPS_MAX: usize = 10_000;
 /// Most lines left out of one program that its notes name.
 const NOTES_MAX: usize = 20;
-/// The latest minute of a day of activities, since its midnight: a day may go on after the next one.
+/// The latest minute of a day of activities, counted from the day's midnight. Activities may go on into the next day.
 pub const DAY_MINUTES_MAX: u32 = 48 * 60;
 
 /// Whether the text has the headings of HOMER+'s days, which no program has before its steps.

@@ -52,7 +52,7 @@ layout! {
         120 => restored: u64,
         /// Narrations that wait for the next step.
         128 => waiting: u64,
-        /// Event to scores, median over the run, in nanoseconds.
+        /// Median time from the receipt of an event to its scores, over the run, in nanoseconds.
         136 => latency_p50_ns: u64,
         /// Event to scores, 99th percentile, in nanoseconds.
         144 => latency_p99_ns: u64,

@@ -567,7 +567,7 @@ impl<M: LanguageModel> Engine<M> {
 
     /// The scores of the last good step as a message to send at `now_ns`; `heartbeat` if they are unchanged.
     pub fn message(&mut self, now_ns: BootNs, heartbeat: bool, behind: bool) -> &RoomScoresV1 {
-        // `SCORER_FAILED` covers the persons who wait.
+        // If `SCORER_FAILED` is set, waiting persons do not set `BEHIND`.
         let waits =
             !self.publication.snapshot.has(score_flags::SCORER_FAILED) && self.scoring.pipeline.inside().is_behind();
         self.publication.message(now_ns, heartbeat, behind || waits)

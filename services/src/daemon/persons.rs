@@ -63,7 +63,7 @@ pub(super) struct Known {
     guarded_ns: i64,
     /// The person was found by fit, without key or name.
     by_fit: bool,
-    /// The last thing was a bed, or the text said that the person sleeps.
+    /// The person lies in bed or sleeps, as far as actions and bed sensors tell.
     pub(super) on_bed: bool,
     /// The daemon has accepted no event of this person since its start.
     pub(super) restored: bool,

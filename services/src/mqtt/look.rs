@@ -98,7 +98,7 @@ impl Seen {
     }
 }
 
-/// Tests a broker for this long, or until `enough` returns true.
+/// Collects a broker's topics for this time after the connection, or until `enough` returns true.
 ///
 /// # Errors
 ///

@@ -18,7 +18,7 @@ pub(in super::super) struct Called {
     /// The names of others that hold a word of an own name: "anna maria" next to "anna".
     others: BTreeSet<String>,
     words_max: usize,
-    /// The home knows the person by number only, so any word may be the name.
+    /// No known name gives the person's number. Words that give this number count as the person's name.
     has_unknown_name: bool,
 }
 

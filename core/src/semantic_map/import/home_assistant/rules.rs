@@ -121,7 +121,7 @@ impl Rules {
         let Placed { domain, object, room, sensor, person } = placed;
         let bound = person.map(|person| ("person", person));
         let (id, name) = area;
-        // A cover is a motor that people operate.
+        // A motor moves a cover. So its state gives sentences only, and no sensor report.
         let device = sensor.device(sees_room).filter(|_| is_room(id) && *domain != "cover");
         let sentences: Vec<(&str, String)> = match sensor.thing.as_deref() {
             Some(seat) if sensor.is_seat() => {
