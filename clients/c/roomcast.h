@@ -880,7 +880,7 @@ typedef struct RoomcastStatusResponseV1 {
   // Narrations that wait for the next step.
   // (Offset 128.)
   uint64_t waiting;
-  // Event to scores, median over the run, in nanoseconds.
+  // Median time from the receipt of an event to its scores, over the run, in nanoseconds.
   // (Offset 136.)
   uint64_t latency_p50_ns;
   // Event to scores, 99th percentile, in nanoseconds.
