@@ -39,7 +39,7 @@ pub fn count(number: usize, noun: &str) -> String {
 #[must_use]
 pub fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     // Longer texts are no misspelt word, and comparing them would cost time.
-    if word.len() > 48 {
+    if word.len() > 128 {
         return None;
     }
     let letters = |text: &str| text.chars().filter(|letter| letter.is_alphanumeric()).collect::<String>();

@@ -601,7 +601,7 @@ const CONFIGURATION: [Mistake; 2] = [
         "a configuration that is no TOML",
         |home| home.edit("roomcast.toml", "[mqtt]", "[mqtt"),
         "configuration",
-        "roomcast.toml has a fault: at line",
+        "roomcast.toml has 1 fault:\nat line",
         "roomcast config prints every key",
     ),
     (

@@ -289,7 +289,6 @@ class _Participant(_Open):
     def __init__(self, name: str, service: ports.Service, domain: Domain | None) -> None:
         self.name = name
         # Before it joins, because the name may be invalid.
-        layouts.write_text("name", layouts.Name(), name)
         self._number = source_of_name(name)
         self.node = _join(domain, name)
         self._scores: ports.Subscriber[RoomScores] = ports.Subscriber(self.node, ports.ROOM_SCORES, RoomScores.from_message)

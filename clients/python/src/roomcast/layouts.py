@@ -29,7 +29,7 @@ AHEAD_NS = 1_000_000_000
 HAS_POSITION = 1
 HAS_BATTERY = 2
 
-Name = ctypes.c_uint8 * NAME_BYTES
+_Name = ctypes.c_uint8 * NAME_BYTES
 # Control characters, and characters that make a text look like another text.
 _HIDDEN = re.compile(
     "[\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\U000e0000-\U000e007f]"
@@ -149,8 +149,8 @@ class NarrationV1(Message):
         ("kind", ctypes.c_uint32),
         ("text_bytes", ctypes.c_uint32),
         ("minor", ctypes.c_uint32),
-        ("source_name", Name),
-        ("person_name", Name),
+        ("source_name", _Name),
+        ("person_name", _Name),
         ("count", ctypes.c_uint32),
         ("reserved", ctypes.c_uint8 * 36),
         ("text", ctypes.c_uint8 * TEXT_BYTES),
@@ -187,7 +187,7 @@ class RoomV1(Layout):
     """The probability that a person is in one room soon."""
 
     _fields_ = [
-        ("id", Name),
+        ("id", _Name),
         ("log_score_nats", ctypes.c_double),
         ("lower_log_score_nats", ctypes.c_double),
         ("upper_log_score_nats", ctypes.c_double),
@@ -260,7 +260,7 @@ class PersonV1(Layout):
         ("presence", ctypes.c_uint32),
         ("elsewhere", ctypes.c_double),
         ("since_ns", ctypes.c_uint64),
-        ("name", Name),
+        ("name", _Name),
         ("reserved", ctypes.c_uint8 * 24),
         ("log_score_nats", ctypes.c_double * MAX_ROOMS),
         ("lower_log_score_nats", ctypes.c_double * MAX_ROOMS),
@@ -284,7 +284,7 @@ class PersonScoresV1(Message):
         ("room_count", ctypes.c_uint32),
         ("minor", ctypes.c_uint32),
         ("reserved", ctypes.c_uint8 * 48),
-        ("id", Name * MAX_ROOMS),
+        ("id", _Name * MAX_ROOMS),
         ("person", PersonV1 * MAX_PERSONS),
     ]
 
@@ -329,8 +329,8 @@ class ItemScoreV1(Layout):
     """The score of one item of the map. Sent only while it is followed."""
 
     _fields_ = [
-        ("id", Name),
-        ("label", Name),
+        ("id", _Name),
+        ("label", _Name),
         ("log_score_nats", ctypes.c_double),
         ("partition", ctypes.c_uint32),
         ("label_items", ctypes.c_uint32),
@@ -354,7 +354,7 @@ class ForecastV1(Message):
         ("elsewhere", ctypes.c_float * MAX_HORIZONS),
         ("reserved", ctypes.c_uint8 * 12),
         ("horizon_s", ctypes.c_float * MAX_HORIZONS),
-        ("id", Name * MAX_ROOMS),
+        ("id", _Name * MAX_ROOMS),
         ("probability", (ctypes.c_float * MAX_HORIZONS) * MAX_ROOMS),
     ]
 
@@ -380,7 +380,7 @@ class PersonForecastV1(Layout):
         ("presence", ctypes.c_uint32),
         ("flags", ctypes.c_uint32),
         ("reserved_a", ctypes.c_uint8 * 4),
-        ("name", Name),
+        ("name", _Name),
         ("elsewhere", ctypes.c_float * MAX_HORIZONS),
         ("room_set", ctypes.c_uint64 * MAX_HORIZONS),
         ("set_coverage", ctypes.c_float),
@@ -408,7 +408,7 @@ class PersonForecastsV1(Message):
         ("minor", ctypes.c_uint32),
         ("reserved", ctypes.c_uint8 * 76),
         ("horizon_s", ctypes.c_float * MAX_HORIZONS),
-        ("id", Name * MAX_ROOMS),
+        ("id", _Name * MAX_ROOMS),
         ("person", PersonForecastV1 * MAX_PERSONS),
     ]
 
@@ -455,12 +455,12 @@ class DecisionV1(Message):
         ("flags", ctypes.c_uint32),
         ("minor", ctypes.c_uint32),
         ("reserved_a", ctypes.c_uint8 * 4),
-        ("from", Name),
-        ("to", Name),
-        ("policy", Name),
+        ("from", _Name),
+        ("to", _Name),
+        ("policy", _Name),
         ("reason", ctypes.c_uint8 * REASON_BYTES),
         ("cancels", ctypes.c_uint64),
-        ("robot_name", Name),
+        ("robot_name", _Name),
         ("held_until_unix_ns", ctypes.c_uint64),
         ("cleaned_min", ctypes.c_uint16 * MAX_ROOMS),
         ("reserved", ctypes.c_uint8 * 64),
@@ -493,8 +493,8 @@ class RobotReportV1(Message):
         ("flags", ctypes.c_uint32),
         ("minor", ctypes.c_uint32),
         ("reserved_a", ctypes.c_uint8 * 4),
-        ("robot_name", Name),
-        ("room", Name),
+        ("robot_name", _Name),
+        ("room", _Name),
         ("note", ctypes.c_uint8 * NOTE_BYTES),
         ("until_unix_ns", ctypes.c_uint64),
         ("reserved", ctypes.c_uint8 * 184),
@@ -552,9 +552,9 @@ class StatusResponseV1(Layout):
         ("sources", ctypes.c_uint32),
         ("persons", ctypes.c_uint32),
         ("minor", ctypes.c_uint32),
-        ("version", Name),
-        ("map", Name),
-        ("model", Name),
+        ("version", _Name),
+        ("map", _Name),
+        ("model", _Name),
         ("journal_bytes", ctypes.c_uint64),
         ("journal_failures", ctypes.c_uint64),
         ("forged", ctypes.c_uint64),
