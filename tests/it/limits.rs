@@ -157,7 +157,7 @@ fn page() -> String {
     table(
         "Messages",
         &[
-            ("bytes of a name", &NAME_BYTES, "refused; items and labels are cut"),
+            ("bytes of a name", &NAME_BYTES, "refused; items, labels, narrators, planners and robots are cut"),
             ("rooms", &MAX_ROOMS, "refused with the map"),
             ("sources named in scores", &MAX_SOURCES, "the newest of each narrator are named"),
             ("persons with separate scores", &MAX_PERSONS, "those with the latest events are sent"),
