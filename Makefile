@@ -14,7 +14,7 @@ export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 TARGET := $(or $(CARGO_TARGET_DIR),target)
 VENV := $(TARGET)/python
 ROUTER := $(TARGET)/zenoh
-# Tests compile our own crates with little optimisation: in a quarter of the time, and on the same builds of all others.
+# Tests compile our own crates with little optimisation: in two thirds of the time, and on the same builds of all others.
 light = --config 'profile.release.package.$(1).opt-level=1' --config 'profile.release.package.$(1).codegen-units=16'
 OWN := $(addprefix roomcast-,core services ipc llama lab ros2 simulation cli database) roomcast
 TESTS := --release --locked --workspace --features full $(foreach crate,$(OWN),$(call light,$(crate)))
