@@ -770,7 +770,9 @@ impl Node {
         let file = format!("{}{:016x}{ONLY_FILE}", self.domain.prefix(), sequence::source_of_name(&name));
         let path = self.domain.root.join(file);
         let failed = |error: io::Error| {
-            let cause = format!("{} cannot be locked: {error}", path.display());
+            let is_limit = error.raw_os_error() == Some(Errno::MFILE.raw_os_error());
+            let remedy = if is_limit { ": raise the limit (ulimit -n, LimitNOFILE=)" } else { "" };
+            let cause = format!("{} cannot be locked: {error}{remedy}", path.display());
             OpenFailure::Passing(IpcError::Join { root: self.domain.root.clone(), cause: cause.into() })
         };
         let only = self.retry(|| {
