@@ -74,7 +74,7 @@ fn commands(block: &str) -> Vec<String> {
     lines.filter(|line| line.starts_with("roomcast ") || line.contains("| roomcast ")).map(str::to_owned).collect()
 }
 
-/// A line without the parts that depend on the machine: digits, bars, and widths of columns.
+/// A line without the parts that depend on the machine: digits, bars, widths of columns, and the processor's extensions (`AVX512_VNNI`).
 fn masked(line: &str) -> String {
     let mut text = String::new();
     for char in line.chars().filter(|char| !('▀'..='▟').contains(char)) {
@@ -84,7 +84,11 @@ fn masked(line: &str) -> String {
             _ => text.push(char),
         }
     }
-    text.replace("0.0", "0").split_whitespace().collect::<Vec<_>>().join(" ")
+    let is_extension = |word: &&str| {
+        let letters = word.trim_end_matches(',');
+        letters.len() >= 3 && letters.bytes().all(|byte| matches!(byte, b'A'..=b'Z' | b'0' | b'_'))
+    };
+    text.replace("0.0", "0").split_whitespace().filter(|word| !is_extension(word)).collect::<Vec<_>>().join(" ")
 }
 
 /// The files that the pages name.
