@@ -5,6 +5,11 @@ set(CMAKE_PROJECT_INCLUDE "${CMAKE_CURRENT_LIST_FILE}")
 if(PROJECT_NAME STREQUAL "llama.cpp")
     # The binding crate asks for the common library, which nothing in Roomcast links.
     set(LLAMA_BUILD_COMMON OFF CACHE BOOL "not linked by Roomcast" FORCE)
+    # Each of a hundred kinds of models has its own source. They are cold: a decoding runs through the sources below and through ggml.
+    cmake_language(DEFER CALL target_compile_options llama PRIVATE -Os)
+    set(hot batch context graph kv-cache vocab)
+    list(TRANSFORM hot REPLACE "(.+)" "${CMAKE_CURRENT_SOURCE_DIR}/src/llama-\\1.cpp")
+    cmake_language(DEFER CALL set_source_files_properties ${hot} TARGET_DIRECTORY llama PROPERTIES COMPILE_OPTIONS -O2)
     cmake_language(DEFER CALL set_target_properties llama PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 24)
 elseif(PROJECT_NAME STREQUAL "HIGHS")
     # The laboratory alone solves with it.
