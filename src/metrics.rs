@@ -261,7 +261,7 @@ impl Metrics {
         r.register("habits_counts", "Counts that habits hold", self.habits_counts.clone());
         r.register("habits_names", "Names of things that habits hold", self.habits_names.clone());
         r.register("answers_asked", "Prompts that scoring steps asked the model about", self.asked.clone());
-        r.register("answers_prepared", "Answers that were prepared while nobody waited", self.prepared.clone());
+        r.register("answers_prepared", "Answers prepared in idle time", self.prepared.clone());
         r.register("answers_used", "Prepared answers that a step used", self.prepared_used.clone());
         r.register("prepare_seconds", "Time of the processor spent preparing answers", self.prepare_s.clone());
         r.register(

@@ -829,7 +829,7 @@ typedef struct RoomcastStatusRequestV1 {
 
 // The daemon's health, versions and counters. Counters count since the daemon's start.
 typedef struct RoomcastStatusResponseV1 {
-  // The daemon's epoch, that of its scores.
+  // The daemon's epoch, as in its scores.
   // (Offset 0.)
   uint64_t epoch;
   // Sequence of its newest scores.
@@ -862,7 +862,7 @@ typedef struct RoomcastStatusResponseV1 {
   // Scoring steps.
   // (Offset 80.)
   uint64_t steps;
-  // Narrations that were scored together with a newer one, without scores of their own.
+  // Narrations scored together with a newer one.
   // (Offset 88.)
   uint64_t merged;
   // Steps that failed in the scorer.
@@ -941,13 +941,13 @@ typedef struct RoomcastStatusResponseV1 {
   // Names of things that the habits hold.
   // (Offset 440.)
   uint32_t habits_names;
-  // Persons of whom something was learned.
+  // Persons with learned habits.
   // (Offset 444.)
   uint32_t habits_persons;
   // Prompts that steps asked the model about.
   // (Offset 448.)
   uint64_t asked;
-  // Answers that were prepared while nobody waited.
+  // Answers prepared in idle time.
   // (Offset 456.)
   uint64_t prepared;
   // Prepared answers that a step used.

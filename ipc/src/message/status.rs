@@ -18,7 +18,7 @@ layout! {
     /// The daemon's health, versions and counters. Counters count since the daemon's start.
     #[type_name("roomcast.StatusResponseV1")]
     pub struct StatusResponseV1 [512] {
-        /// The daemon's epoch, that of its scores.
+        /// The daemon's epoch, as in its scores.
         0 => epoch: u64,
         /// Sequence of its newest scores.
         8 => sequence: u64,
@@ -40,7 +40,7 @@ layout! {
         72 => limited: u64,
         /// Scoring steps.
         80 => steps: u64,
-        /// Narrations that were scored together with a newer one, without scores of their own.
+        /// Narrations scored together with a newer one.
         88 => merged: u64,
         /// Steps that failed in the scorer.
         96 => failed_steps: u64,
@@ -93,11 +93,11 @@ layout! {
         432 => habits_counts: u64,
         /// Names of things that the habits hold.
         440 => habits_names: u32,
-        /// Persons of whom something was learned.
+        /// Persons with learned habits.
         444 => habits_persons: u32,
         /// Prompts that steps asked the model about.
         448 => asked: u64,
-        /// Answers that were prepared while nobody waited.
+        /// Answers prepared in idle time.
         456 => prepared: u64,
         /// Prepared answers that a step used.
         464 => prepared_used: u64,
