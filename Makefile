@@ -19,6 +19,8 @@ light = --config 'profile.release.package.$(1).opt-level=1' --config 'profile.re
 OWN := $(addprefix roomcast-,core services ipc llama lab ros2 simulation cli database) roomcast
 TESTS := --release --locked --workspace --features full $(foreach crate,$(OWN),$(call light,$(crate)))
 ZENOH := --release --locked --manifest-path zenoh/Cargo.toml --target-dir $(abspath $(TARGET))
+# Clippy's compiler and the wrapper of rustdoc build what the tests run. `cargo clippy` and `cargo doc` would check all dependencies a second time.
+CHECKED := RUSTC_WORKSPACE_WRAPPER=clippy-driver CLIPPY_ARGS=-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__ RUSTDOC=$(abspath .ci/rustdoc)
 
 .PHONY: help
 help: ## Lists the commands.
@@ -74,33 +76,34 @@ sizes: build lab ## Prints the size of each program and the packages of each bui
 
 .PHONY: lint
 lint:
-	@echo "test: lints (the first run compiles llama.cpp and HiGHS: some minutes on two cores)"
-	cargo clippy --release --locked --workspace --all-targets --features full -- -D warnings
+	@echo "test: lints (the first run compiles all tests: some minutes on two cores)"
+	@$(CHECKED) cargo test $(TESTS) --lib --bins --tests --examples --no-run
 
 .PHONY: unit
 unit:
 	@echo "test: unit and property tests, and one test of each kind of process"
-	@ROOMCAST_SEEDS=250 .ci/tests fast $(TESTS)
-	@cargo test $(TESTS) --doc
+	@$(CHECKED) ROOMCAST_SEEDS=250 .ci/tests fast $(TESTS)
 
 .PHONY: full
 full:
 	@echo "test-full: the tests that are marked as full, and more seeds"
-	@.ci/tests full $(TESTS)
-	@ROOMCAST_FIRST_SEED=250 ROOMCAST_SEEDS=750 cargo test $(TESTS) --test it simulated::no_seed
+	@$(CHECKED) .ci/tests full $(TESTS)
+	@$(CHECKED) ROOMCAST_FIRST_SEED=250 ROOMCAST_SEEDS=750 cargo test $(TESTS) --test it simulated::no_seed
+	@echo "test-full: lints of the benchmarks"
+	@$(CHECKED) cargo build $(TESTS) --benches
 
 # A workspace of its own, in the same target folder (zenoh/Cargo.toml says why). Its tests start the robot's program, and zenoh's router from PyPI.
 .PHONY: zenoh
 zenoh: setup ## Builds and checks roomcast-zenoh: lints, tests with a real router, documentation.
 	@echo "test: roomcast-zenoh (its first build compiles zenoh: some minutes on two cores)"
 	test -x $(TARGET)/release/roomcast || cargo build --release --locked
-	cargo clippy $(ZENOH) --all-targets -- -D warnings
+	$(CHECKED) cargo test $(ZENOH) --lib --bins --tests --examples --no-run
 	@test -x $(ROUTER)/bin/python || python3 -m venv $(ROUTER); \
 	if ! $(ROUTER)/bin/python -c 'import mcap_ros2, rosbags, zenoh, zenoh_ros2_sdk' 2>/dev/null; then \
 	    $(ROUTER)/bin/python -m pip install --quiet --disable-pip-version-check 'eclipse-zenoh==1.10.2' 'mcap-ros2-support==0.6.0' 'rosbags==0.11.9' 'zenoh-ros2-sdk==0.1.8' || true; \
 	fi
-	.ci/tests fast $(ZENOH)
-	RUSTDOCFLAGS="-D warnings" cargo doc $(ZENOH) --no-deps
+	$(CHECKED) .ci/tests fast $(ZENOH)
+	$(CHECKED) cargo test $(ZENOH) --doc
 
 .PHONY: nightly
 nightly: setup ## An hour of faults by seed: simulation, killed processes, failing system calls, brokers, mutated input; says what was tried. Then the fleet's.
@@ -121,8 +124,8 @@ faults: setup ## Puts old faults back, one after another, and prints whether a u
 
 .PHONY: docs
 docs:
-	@echo "test: documentation"
-	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --features full --no-deps
+	@echo "test: documentation and its examples"
+	@$(CHECKED) cargo test $(TESTS) --doc
 
 .PHONY: book
 book: ## Builds the manual as web pages, into target/book (mdBook, which it builds first).
