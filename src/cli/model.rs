@@ -264,8 +264,11 @@ const METHODS_TOLERANCE_NATS_PER_TOKEN: f64 = 2e-2;
 /// Far more than `--record` writes.
 const KNOWN_BYTES_MAX: u64 = 16 << 20;
 
+fn model_failure(error: impl std::fmt::Display) -> Failure {
+    Failure::new(exit_code::MODEL, error.to_string())
+}
+
 fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_json: bool) -> CommandResult {
-    let model_failure = |error: &dyn std::fmt::Display| Failure::new(exit_code::MODEL, error.to_string());
     let (path, _embedded) = open(file)?;
     let known = match (case, file) {
         (Some(case), _) => Some(KnownCase::read(case)?),
@@ -275,7 +278,7 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
     let mut case = known.clone().unwrap_or_else(KnownCase::unscored);
     // The known scores were computed in single precision.
     let options = LlamaOptions { cache: CacheType::F32, ..LlamaOptions::default() };
-    let model = LlamaModel::load(&path, &options).map_err(|error| model_failure(&error))?;
+    let model = LlamaModel::load(&path, &options).map_err(model_failure)?;
     let about = model.info().clone();
     let sha256 = hex::encode(about.fingerprint);
     let mut checked = vec![Checked {
@@ -288,32 +291,8 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
     let labels: Vec<_> = case.labels.iter().map(|known| known.label.clone()).collect();
     let binding: BindingSequence =
         case.binding.parse().map_err(|error| Failure::new(exit_code::INPUT, format!("binding: {error}")))?;
-    let mut prompt = String::new();
-    write_prompt(case.narration.iter().map(String::as_str), &binding, false, &mut prompt);
-    // Equation 1, for the known scores, and the file's recommended correction.
-    let mut scores = Vec::new();
-    let (mut worst, mut needed) = (0.0_f64, 0.0);
-    let recommended = Some(about.correction).filter(|&recommended| recommended != Correction::default());
-    for correction in std::iter::once(Correction::default()).chain(recommended) {
-        let prepared = scorer.prepare(&labels, &binding, Tokenisation::Joint, correction);
-        let prepared = prepared.map_err(|error| model_failure(&error))?;
-        if scores.is_empty() {
-            checked.push(tokenises(&scorer, &labels, prepared.tokens()));
-            needed = familiarity::check_mass_min(prepared.tokens(), about.vocabulary);
-        }
-        let first = scores.len();
-        for method in [Method::Trie, Method::SharedPrefix, Method::Independent] {
-            let mut out = LabelScores::default();
-            scorer.forget();
-            scorer.score(&prepared, &prompt, method, &mut out).map_err(|error| model_failure(&error))?;
-            scores.push(out.log_prob_nats);
-        }
-        for other in &scores[first + 1..] {
-            for ((a, b), tokens) in scores[first].iter().zip(other).zip(prepared.tokens()) {
-                worst = worst.max((a - b).abs() / tokens.len() as f64);
-            }
-        }
-    }
+    let Compared { scores, worst, needed, tokenises } = compared(&mut scorer, &case, &labels, &binding)?;
+    checked.push(tokenises);
     if let Some(damaged) = file.and_then(copy_of_embedded) {
         checked.push(damaged);
     }
@@ -359,6 +338,52 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
 }
 
 /// The check in another process, which survives a crash of llama.cpp.
+/// The scores of a case, by each method.
+struct Compared {
+    /// Equation 1 comes first, for the known scores.
+    scores: Vec<Vec<f64>>,
+    /// Largest difference between two methods, in nats per token.
+    worst: f64,
+    /// Least sum of all labels' probabilities that a working model reaches.
+    needed: f64,
+    tokenises: Checked,
+}
+
+/// Scores a case by equation 1, and with the correction that the file recommends.
+fn compared(
+    scorer: &mut Scorer<LlamaModel>,
+    case: &KnownCase,
+    labels: &[String],
+    binding: &BindingSequence,
+) -> Result<Compared, Failure> {
+    let about = scorer.model().info().clone();
+    let mut prompt = String::new();
+    write_prompt(case.narration.iter().map(String::as_str), binding, false, &mut prompt);
+    let mut by_all_methods = |correction| {
+        let prepared = scorer.prepare(labels, binding, Tokenisation::Joint, correction).map_err(model_failure)?;
+        let mut scores = Vec::new();
+        for method in [Method::Trie, Method::SharedPrefix, Method::Independent] {
+            let mut out = LabelScores::default();
+            scorer.forget();
+            scorer.score(&prepared, &prompt, method, &mut out).map_err(model_failure)?;
+            scores.push(out.log_prob_nats);
+        }
+        let differences = scores[1..].iter().flat_map(|other| {
+            let pairs = scores[0].iter().zip(other).zip(prepared.tokens());
+            pairs.map(|((a, b), tokens)| (a - b).abs() / tokens.len() as f64)
+        });
+        Ok::<_, Failure>((differences.fold(0.0, f64::max), scores, prepared))
+    };
+    let (mut worst, mut scores, prepared) = by_all_methods(Correction::default())?;
+    if about.correction != Correction::default() {
+        let (other_worst, others, _) = by_all_methods(about.correction)?;
+        worst = worst.max(other_worst);
+        scores.extend(others);
+    }
+    let needed = familiarity::check_mass_min(prepared.tokens(), about.vocabulary);
+    Ok(Compared { scores, worst, needed, tokenises: tokenises(scorer, labels, prepared.tokens()) })
+}
+
 fn check_arguments(file: &Path, case: Option<&Path>, record: Option<&Path>, json: bool) -> Vec<OsString> {
     let mut arguments: Vec<OsString> = ["model", "check", "--here"].map(OsString::from).to_vec();
     for (option, given) in [("--case", case), ("--record", record)] {

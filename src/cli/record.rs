@@ -9,7 +9,7 @@ use roomcast_ipc::raw::{
     DecisionV1, ForecastV1, IncludedV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
     RoomScoresV1, score_flags,
 };
-use roomcast_ipc::{Node, Subscriber, limits, question};
+use roomcast_ipc::{IpcError, Node, Subscriber, limits, question};
 use roomcast_services::clock;
 
 use super::choice::choice;
@@ -267,14 +267,7 @@ pub fn run(args: &Args) -> CommandResult {
     let (config, domain) = args.service.load()?;
     let ipc = |error| Failure::new(exit_code::IPC, error);
     let node = domain.open("roomcast-record").map_err(ipc)?;
-    // Earlier narration does not belong to this recording: it may be of a person that was forgotten since, and a replay would restore the person.
-    let narration = node.subscriber_from_now::<NarrationV1>().map_err(ipc)?;
-    let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
-    let persons = node.subscriber::<PersonScoresV1>().map_err(ipc)?;
-    let forecast = node.subscriber::<ForecastV1>().map_err(ipc)?;
-    let forecasts = node.subscriber::<PersonForecastsV1>().map_err(ipc)?;
-    let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
-    let reports = node.subscriber::<RobotReportV1>().map_err(ipc)?;
+    let ports = Ports::new(&node).map_err(ipc)?;
     let output = |error| {
         let code = match error {
             RecordingError::Exists { .. } => exit_code::INPUT,
@@ -291,15 +284,7 @@ pub fn run(args: &Args) -> CommandResult {
         // Messages from before the end are still recorded.
         let is_over = args.seconds.map(|seconds| started.elapsed() >= Duration::from_secs(seconds));
         let ends = stop.requested() || is_over == Some(true);
-        // In the order of the flow: narration before the scores that contain it.
-        let mut news = Vec::new();
-        take(&narration, &mut news, |message| Recorded::Narration(Box::new(message)))?;
-        take(&scores, &mut news, |message| Recorded::RoomScores(Box::new(message)))?;
-        take(&persons, &mut news, |message| Recorded::PersonScores(Box::new(message)))?;
-        take(&forecast, &mut news, |message| Recorded::Forecast(Box::new(message)))?;
-        take(&forecasts, &mut news, |message| Recorded::PersonForecasts(Box::new(message)))?;
-        take(&decisions, &mut news, |message| Recorded::Decision(Box::new(message)))?;
-        take(&reports, &mut news, |message| Recorded::RobotReport(Box::new(message)))?;
+        let news = ports.news().map_err(ipc)?;
         let received = Received { unix_ns: clock::unix_ns(), monotonic_ns: clock::monotonic_ns() };
         is_silent &= !news.iter().any(|message| matches!(message, Recorded::RoomScores(_)));
         if is_silent && started.elapsed() >= SILENCE {
@@ -332,20 +317,11 @@ pub fn run(args: &Args) -> CommandResult {
         }
         if news.is_empty() {
             // A narrator with one line may leave within milliseconds.
-            roomcast_ipc::wait_for_any(&[&narration, &scores], POLL).map_err(ipc)?;
+            roomcast_ipc::wait_for_any(&[&ports.narration, &ports.scores], POLL).map_err(ipc)?;
         }
     };
     let written = recorder.finish().map_err(output)?;
-    let malformed = [
-        narration.malformed(),
-        scores.malformed(),
-        persons.malformed(),
-        forecast.malformed(),
-        forecasts.malformed(),
-        decisions.malformed(),
-        reports.malformed(),
-    ];
-    let malformed: u64 = malformed.iter().sum();
+    let malformed = ports.malformed();
     let told = format!("{written} messages in {}; {malformed} malformed ones left out", args.file.display());
     if interrupted {
         return Err(service::interrupted(&told));
@@ -354,12 +330,57 @@ pub fn run(args: &Args) -> CommandResult {
     Ok(())
 }
 
+/// What a recording has.
+struct Ports {
+    narration: Subscriber<NarrationV1>,
+    scores: Subscriber<RoomScoresV1>,
+    persons: Subscriber<PersonScoresV1>,
+    forecast: Subscriber<ForecastV1>,
+    forecasts: Subscriber<PersonForecastsV1>,
+    decisions: Subscriber<DecisionV1>,
+    reports: Subscriber<RobotReportV1>,
+}
+
+impl Ports {
+    fn new(node: &Node) -> Result<Self, IpcError> {
+        Ok(Self {
+            // Earlier narration does not belong to this recording: it may be of a person that was forgotten since, and a replay would restore the person.
+            narration: node.subscriber_from_now()?,
+            scores: node.subscriber()?,
+            persons: node.subscriber()?,
+            forecast: node.subscriber()?,
+            forecasts: node.subscriber()?,
+            decisions: node.subscriber()?,
+            reports: node.subscriber()?,
+        })
+    }
+
+    /// New messages in the order of the flow: narration before the scores that contain it.
+    fn news(&self) -> Result<Vec<Recorded>, IpcError> {
+        let mut news = Vec::new();
+        take(&self.narration, &mut news, |message| Recorded::Narration(Box::new(message)))?;
+        take(&self.scores, &mut news, |message| Recorded::RoomScores(Box::new(message)))?;
+        take(&self.persons, &mut news, |message| Recorded::PersonScores(Box::new(message)))?;
+        take(&self.forecast, &mut news, |message| Recorded::Forecast(Box::new(message)))?;
+        take(&self.forecasts, &mut news, |message| Recorded::PersonForecasts(Box::new(message)))?;
+        take(&self.decisions, &mut news, |message| Recorded::Decision(Box::new(message)))?;
+        take(&self.reports, &mut news, |message| Recorded::RobotReport(Box::new(message)))?;
+        Ok(news)
+    }
+
+    fn malformed(&self) -> u64 {
+        let of_scores = self.scores.malformed() + self.persons.malformed();
+        let of_forecasts = self.forecast.malformed() + self.forecasts.malformed();
+        self.narration.malformed() + of_scores + of_forecasts + self.decisions.malformed() + self.reports.malformed()
+    }
+}
+
 fn take<M: Message>(
     subscriber: &Subscriber<M>,
     news: &mut Vec<Recorded>,
     wrap: impl Fn(M) -> Recorded,
-) -> CommandResult {
-    while let Some(message) = subscriber.receive().map_err(|error| Failure::new(exit_code::IPC, error))? {
+) -> Result<(), IpcError> {
+    while let Some(message) = subscriber.receive()? {
         news.push(wrap(message));
     }
     Ok(())

@@ -9,7 +9,9 @@ use roomcast_ipc::raw::{
     DecisionV1, ForecastV1, LEARNED_SHARE_S, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1,
     PersonV1, RobotReportV1, RoomScoresV1, narration_kind,
 };
-use roomcast_ipc::{Action, Domain, Node, Presence, Subscriber, sequence};
+use roomcast_ipc::{
+    Action, Domain, IpcError, ItemScoresSubscriber, Node, Presence, StatusClient, Subscriber, sequence,
+};
 use roomcast_services::clock;
 use serde_json::{Value, json};
 
@@ -70,8 +72,100 @@ fn left(count: u64, limit: Option<u64>) -> CommandResult {
     }
 }
 
-fn ipc(error: roomcast_ipc::IpcError) -> Failure {
+fn ipc(error: IpcError) -> Failure {
     Failure::new(exit_code::IPC, error)
+}
+
+/// What the view shows.
+struct Drawn {
+    scores: Subscriber<RoomScoresV1>,
+    narration: Subscriber<NarrationV1>,
+    persons: Subscriber<PersonScoresV1>,
+    forecasts: Subscriber<PersonForecastsV1>,
+    forecast: Subscriber<ForecastV1>,
+    decisions: Subscriber<DecisionV1>,
+    /// Without a free place in this service, the robot's place is unknown.
+    reports: Option<Subscriber<RobotReportV1>>,
+    items: ItemScoresSubscriber,
+    status: StatusClient,
+    reasons: Reasons,
+    /// Epoch and sequence of the newest scores, and how many snapshots came.
+    taken: Option<(u64, u64)>,
+    count: u64,
+    point_ns: BootNs,
+    status_ns: BootNs,
+}
+
+impl Drawn {
+    fn new(domain: &Domain) -> Result<Self, IpcError> {
+        let node = domain.open("roomcast-top")?;
+        Ok(Self {
+            scores: node.subscriber()?,
+            narration: node.subscriber()?,
+            persons: node.subscriber()?,
+            forecasts: node.subscriber()?,
+            forecast: node.subscriber()?,
+            decisions: node.subscriber()?,
+            reports: node.subscriber().ok(),
+            items: node.item_scores_subscriber()?,
+            status: node.status_client()?,
+            reasons: Reasons::new(&node)?,
+            taken: None,
+            count: 0,
+            point_ns: BootNs(0),
+            status_ns: BootNs(0),
+        })
+    }
+
+    /// Passes all news on to the view. Returns whether scores came.
+    fn take(&mut self, view: &mut View) -> Result<bool, IpcError> {
+        let now_ns = clock::monotonic_ns();
+        let mut has_scores = false;
+        while let Some(message) = self.narration.receive()? {
+            view.narration(&message);
+        }
+        while let Some(message) = self.scores.receive()? {
+            view.scores(&message);
+            has_scores = true;
+            let name = Some((message.epoch, message.sequence));
+            self.count += u64::from(self.taken != name);
+            self.taken = name;
+        }
+        if let Some(message) = self.forecasts.newest()? {
+            view.forecasts(&message);
+        }
+        if let Some(message) = self.forecast.newest()? {
+            view.forecast_flags(message.flags);
+        }
+        if let Some(message) = self.persons.newest()? {
+            if let Some(reasons) = self.reasons.refresh(message.persons().iter().map(|person| person.person)) {
+                view.reasons(reasons);
+            }
+            view.persons(&message);
+        }
+        if let Some(message) = self.items.newest()? {
+            view.items(&message);
+        }
+        while let Some(report) = self.reports.as_ref().map(Subscriber::receive).transpose()?.flatten() {
+            view.report(&report);
+        }
+        while let Some(message) = self.decisions.receive()? {
+            view.decision(&message);
+        }
+        view.malformed(self.narration.malformed() + self.scores.malformed() + self.decisions.malformed());
+        if now_ns.since(self.status_ns) >= STATUS_NS {
+            // A busy or absent daemon does not block the view: its last answer stays.
+            if let Ok(answer) = self.status.ask(STATUS_TIMEOUT) {
+                view.status(answer);
+            }
+            self.status_ns = now_ns;
+        }
+        if now_ns.since(self.point_ns) >= POINT_NS {
+            view.point();
+            self.point_ns = now_ns;
+        }
+        Ok(has_scores)
+    }
 }
 
 fn screen(
@@ -82,74 +176,15 @@ fn screen(
     terminal: &mut ratatui::DefaultTerminal,
 ) -> CommandResult {
     let terminal_failure = |error: std::io::Error| Failure::new(exit_code::FAILURE, error);
-    let node = domain.open("roomcast-top").map_err(ipc)?;
-    let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
-    let narration = node.subscriber::<NarrationV1>().map_err(ipc)?;
-    let persons = node.subscriber::<PersonScoresV1>().map_err(ipc)?;
-    let forecasts = node.subscriber::<PersonForecastsV1>().map_err(ipc)?;
-    let forecast = node.subscriber::<ForecastV1>().map_err(ipc)?;
-    let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
-    // If this service has no free place, the robot's place is unknown.
-    let mut reports = node.subscriber::<RobotReportV1>().ok();
-    let items = node.item_scores_subscriber().map_err(ipc)?;
-    let status = node.status_client().map_err(ipc)?;
-    let mut reasons = Reasons::new(&node).map_err(ipc)?;
+    let mut ports = Drawn::new(domain).map_err(ipc)?;
     let mut view = View::of_robot(robot);
-    let (mut point_ns, mut status_ns) = (BootNs(0), BootNs(0));
-    let mut taken = None;
-    let mut count = 0;
     let mut heard = Instant::now();
     while !stop.requested() {
-        let now_ns = clock::monotonic_ns();
-        if !view.paused {
-            while let Some(message) = narration.receive().map_err(ipc)? {
-                view.narration(&message);
-            }
-            while let Some(message) = scores.receive().map_err(ipc)? {
-                view.scores(&message);
-                heard = Instant::now();
-                let name = Some((message.epoch, message.sequence));
-                count += u64::from(taken != name);
-                taken = name;
-            }
-            if let Some(message) = forecasts.newest().map_err(ipc)? {
-                view.forecasts(&message);
-            }
-            if let Some(message) = forecast.newest().map_err(ipc)? {
-                view.forecast_flags(message.flags);
-            }
-            if let Some(message) = persons.newest().map_err(ipc)? {
-                if let Some(reasons) = reasons.refresh(message.persons().iter().map(|person| person.person)) {
-                    view.reasons(reasons);
-                }
-                view.persons(&message);
-            }
-            if let Some(message) = items.newest().map_err(ipc)? {
-                view.items(&message);
-            }
-            while let Some(report) =
-                reports.as_mut().map(|reports| reports.receive()).transpose().map_err(ipc)?.flatten()
-            {
-                view.report(&report);
-            }
-            while let Some(message) = decisions.receive().map_err(ipc)? {
-                view.decision(&message);
-            }
-            view.malformed(narration.malformed() + scores.malformed() + decisions.malformed());
-            if now_ns.since(status_ns) >= STATUS_NS {
-                // A busy or absent daemon does not block the view: its last answer stays.
-                if let Ok(answer) = status.ask(STATUS_TIMEOUT) {
-                    view.status(answer);
-                }
-                status_ns = now_ns;
-            }
-            if now_ns.since(point_ns) >= POINT_NS {
-                view.point();
-                point_ns = now_ns;
-            }
+        if !view.paused && ports.take(&mut view).map_err(ipc)? {
+            heard = Instant::now();
         }
         terminal.draw(|frame| view.draw(frame, clock::monotonic_ns())).map_err(terminal_failure)?;
-        if limit.is_some_and(|limit| count >= limit) {
+        if limit.is_some_and(|limit| ports.count >= limit) {
             return Ok(());
         }
         // While the view is paused, no messages are received.
@@ -166,7 +201,7 @@ fn screen(
         {
             let control = key.modifiers.contains(event::KeyModifiers::CONTROL);
             match key.code {
-                KeyCode::Char('c') if control => return left(count, limit),
+                KeyCode::Char('c') if control => break,
                 KeyCode::Char('q') => return Ok(()),
                 KeyCode::Esc if !view.help => return Ok(()),
                 KeyCode::Char(' ') if !control => view.paused = !view.paused,
@@ -176,7 +211,7 @@ fn screen(
             }
         }
     }
-    left(count, limit)
+    left(ports.count, limit)
 }
 
 /// One line of JSON per snapshot, without heartbeats. Without a daemon, a limited view ends with an error, and an unlimited one warns and waits.
@@ -263,7 +298,7 @@ struct Others {
 }
 
 impl Others {
-    fn open(node: &Node, robot: String) -> Result<Self, roomcast_ipc::IpcError> {
+    fn open(node: &Node, robot: String) -> Result<Self, IpcError> {
         Ok(Self {
             ports: Ports {
                 persons: node.subscriber()?,
@@ -283,7 +318,7 @@ impl Others {
         })
     }
 
-    fn receive(&mut self) -> Result<(), roomcast_ipc::IpcError> {
+    fn receive(&mut self) -> Result<(), IpcError> {
         let Ports { persons, forecast, forecasts, narration, decisions } = &self.ports;
         self.persons = persons.newest()?.or(self.persons);
         self.forecast = forecast.newest()?.or(self.forecast);
@@ -301,7 +336,7 @@ impl Others {
 
     /// Receives until the messages behind the scores have come: persons and forecasts, the persons' forecasts last. If a daemon publishes only
     /// scores, this waits only once.
-    fn receive_behind(&mut self, scores: &RoomScoresV1) -> Result<(), roomcast_ipc::IpcError> {
+    fn receive_behind(&mut self, scores: &RoomScoresV1) -> Result<(), IpcError> {
         let until = Instant::now() + BEHIND;
         loop {
             self.receive()?;

@@ -8,7 +8,7 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
 use roomcast_ipc::raw::{DecisionV1, ForecastV1, PersonForecastsV1, RobotReportV1, RoomScoresV1};
-use roomcast_ipc::{Domain, IpcError, Publisher, Subscriber, sequence};
+use roomcast_ipc::{Domain, IpcError, Node, Publisher, Subscriber, sequence};
 use roomcast_services::clock;
 use roomcast_services::config::Config;
 use roomcast_services::logging::Limiter;
@@ -211,6 +211,50 @@ impl Ports {
     }
 }
 
+/// Passes what comes from the broker on to the daemon and to the planners. Both ways open with the first order.
+struct Desk<'a> {
+    config: &'a Config,
+    domain: &'a Domain,
+    node: &'a Node,
+    stop: &'a Stop,
+    reports: Option<Publisher<RobotReportV1>>,
+    corrections: Option<SyncSender<Item>>,
+}
+
+impl Desk<'_> {
+    /// Takes a correction or an order; a wrong one is a warning.
+    fn take(&mut self, heard: &Heard, orders: &mut Orders, known: &Known) -> Result<(), BridgeError> {
+        let topic = &heard.topic;
+        if let Some(read) = orders.correction(topic, &heard.payload, known.correctable(), &known.named_rooms()) {
+            if let Err(error) = read.and_then(|item| self.correct(item)) {
+                tracing::warn!(error, topic, "a correction over MQTT is not taken");
+            }
+            return Ok(());
+        }
+        let times = (clock::monotonic_ns(), clock::unix_ns());
+        let robots = known.robots(&self.config.planner.robot);
+        match orders.read(topic, &heard.payload, &robots, &known.rooms(), times) {
+            Ok(order) => {
+                let reports = match &mut self.reports {
+                    Some(reports) => reports,
+                    None => self.reports.insert(self.node.publisher()?),
+                };
+                reports.send(&order)?;
+            }
+            Err(error) => tracing::warn!(error, topic, "an order over MQTT is not taken"),
+        }
+        Ok(())
+    }
+
+    fn correct(&mut self, item: Item) -> Result<(), String> {
+        let sender = match &mut self.corrections {
+            Some(sender) => sender,
+            None => self.corrections.insert(send_corrections(self.config, self.domain, self.stop)?),
+        };
+        sender.try_send(item).map_err(|_| "earlier corrections wait for the daemon".to_owned())
+    }
+}
+
 /// Publishes until asked to stop, or, with `once`, until everything was printed.
 ///
 /// # Errors
@@ -237,8 +281,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
     notify(&[NotifyState::Ready]);
     let advisor = Planner::for_advice(config);
     let mut known = Known::default().with_advisor(advisor);
-    let mut reports: Option<Publisher<RobotReportV1>> = None;
-    let mut corrections: Option<SyncSender<Item>> = None;
+    let mut desk = Desk { config, domain, node: &node, stop, reports: None, corrections: None };
     // Printed messages are not retained.
     let mut outbox = match &link {
         Some(_) => Outbox::with_list(&ears.base, &ears.node),
@@ -268,39 +311,11 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
         }
         if let Some(link) = &link {
             let (now, ordered) = listen(link, connection, &mut ears, &mut outbox);
-            for order in ordered {
-                let persons = known.correctable();
-                if let Some(read) = ears.orders.correction(&order.topic, &order.payload, persons, &known.named_rooms())
-                {
-                    let sent = read.and_then(|item| {
-                        let sender = match &mut corrections {
-                            Some(sender) => sender,
-                            None => corrections.insert(send_corrections(config, domain, stop)?),
-                        };
-                        sender.try_send(item).map_err(|_| "earlier corrections wait for the daemon".to_owned())
-                    });
-                    if let Err(error) = sent {
-                        tracing::warn!(error, topic = order.topic, "a correction over MQTT is not taken");
-                    }
-                    continue;
-                }
-                let times = (clock::monotonic_ns(), clock::unix_ns());
-                let (robots, rooms) = (known.robots(&config.planner.robot), known.rooms());
-                match ears.orders.read(&order.topic, &order.payload, &robots, &rooms, times) {
-                    Ok(order) => {
-                        if reports.is_none() {
-                            reports = Some(node.publisher()?);
-                        }
-                        reports.as_ref().map(|reports| reports.send(&order)).transpose()?;
-                    }
-                    Err(error) => {
-                        let topic = order.topic;
-                        tracing::warn!(error, topic, "an order over MQTT is not taken");
-                    }
-                }
+            for order in &ordered {
+                desk.take(order, &mut ears.orders, &known)?;
             }
             // A new planner gets the last orders.
-            reports.as_ref().map(Publisher::tick).transpose()?;
+            desk.reports.as_ref().map(Publisher::tick).transpose()?;
             connected = if connection == now { connected } else { Instant::now() };
             connection = now;
         }
