@@ -343,6 +343,40 @@ fn small_tokens(parameters: u64, most: usize) -> usize {
     tokens.min(most)
 }
 
+/// What is known of a loaded model.
+fn info_of(
+    weights: &Weights,
+    path: &Path,
+    header: &Header,
+    fingerprint: [u8; 32],
+    context_tokens: u32,
+) -> Result<ModelInfo, String> {
+    let text = |key: &str| weights.meta_val_str(key).ok();
+    Ok(ModelInfo {
+        name: text("general.name")
+            .filter(|n| !n.is_empty())
+            .or_else(|| path.file_stem().map(|s| s.to_string_lossy().into_owned()))
+            .unwrap_or_default(),
+        architecture: text("general.architecture").unwrap_or_else(|| "unknown".into()),
+        description: format!(
+            "{} {:.1}M parameters, {:.1} MB",
+            text("general.size_label").unwrap_or_default(),
+            weights.n_params() as f64 / 1e6,
+            weights.size() as f64 / 1e6
+        )
+        .trim()
+        .to_owned(),
+        parameters: weights.n_params(),
+        size_bytes: weights.size(),
+        vocabulary: usize::try_from(weights.vocab().n_tokens()).unwrap_or(0),
+        context_tokens: context_tokens as usize,
+        shares_prefix: !weights.is_recurrent() && !weights.is_hybrid(),
+        correction: Correction::recommended(|key| header.written(key))?,
+        weakness: None,
+        fingerprint,
+    })
+}
+
 impl LlamaModel {
     /// Loads a GGUF file.
     ///
@@ -377,29 +411,7 @@ impl LlamaModel {
         let context_tokens = options.positions(weights.n_ctx_train());
         let sequences = options.sequences.clamp(1, SEQUENCES_MAX);
         let vocabulary = weights.vocab();
-        let info = ModelInfo {
-            name: text("general.name")
-                .filter(|n| !n.is_empty())
-                .or_else(|| path.file_stem().map(|s| s.to_string_lossy().into_owned()))
-                .unwrap_or_default(),
-            architecture: text("general.architecture").unwrap_or_else(|| "unknown".into()),
-            description: format!(
-                "{} {:.1}M parameters, {:.1} MB",
-                text("general.size_label").unwrap_or_default(),
-                weights.n_params() as f64 / 1e6,
-                weights.size() as f64 / 1e6
-            )
-            .trim()
-            .to_owned(),
-            parameters: weights.n_params(),
-            size_bytes: weights.size(),
-            vocabulary: usize::try_from(vocabulary.n_tokens()).unwrap_or(0),
-            context_tokens: context_tokens as usize,
-            shares_prefix: !weights.is_recurrent() && !weights.is_hybrid(),
-            correction: Correction::recommended(|key| header.written(key)).map_err(fail)?,
-            weakness: None,
-            fingerprint,
-        };
+        let info = info_of(&weights, path, &header, fingerprint, context_tokens).map_err(fail)?;
         let is_apart = text("tokenizer.ggml.model").as_deref() == Some("llama") && sentences_apart(&vocabulary);
         let piece = |token| Some((vocabulary.text(token)?.to_str().ok()?, Token(token.0), vocabulary.score(token)));
         let pieces = is_apart.then(|| Arc::new(Pieces::new(vocabulary.tokens().filter_map(piece))));
@@ -551,6 +563,49 @@ impl LlamaModel {
         self.batch
             .add(LlamaToken(token.0), position, &self.sequence_ids, row.is_some())
             .map_err(|e| ModelError::Decode { tokens: 1, reason: e.to_string() })
+    }
+
+    /// Decodes a tree behind a prompt, as many paths at once as there are sequences.
+    fn push_tree(
+        &mut self,
+        prompt_tokens: usize,
+        tree: &TokenTree,
+        wave_paths: u32,
+        stats: &mut DecodeStats,
+        visit: &mut dyn FnMut(usize, &[f32]),
+    ) -> Result<(), ModelError> {
+        let room = self.positions as usize - prompt_tokens;
+        let mut wave = 0;
+        while wave < tree.path_count() {
+            let end = (wave + wave_paths).min(tree.path_count());
+            let mut in_wave = 0;
+            for index in 0..tree.len() {
+                let (first, last) = tree.paths(index);
+                let (first, last) = (first.max(wave), last.min(end));
+                if first >= last {
+                    continue;
+                }
+                in_wave += 1;
+                if in_wave > room {
+                    self.forget();
+                    return Err(ModelError::TooLong {
+                        prompt: prompt_tokens,
+                        tree: tree.len(),
+                        context: self.info.context_tokens,
+                    });
+                }
+                let position = prompt_tokens + tree.depth(index) as usize - 1;
+                self.untidy = true;
+                self.push(tree.token(index), position, first - wave..last - wave, Some(index + 1), stats, visit)?;
+                stats.tree_tokens_decoded += 1;
+            }
+            wave = end;
+            if wave < tree.path_count() {
+                self.flush(stats, visit)?;
+                self.truncate_cache(prompt_tokens)?;
+            }
+        }
+        Ok(())
     }
 }
 
@@ -784,33 +839,7 @@ impl LanguageModel for LlamaModel {
             self.push(token, position, all.clone(), row, &mut stats, visit)?;
         }
         stats.prompt_tokens_decoded = (prompt.len() - keep) as u32;
-        let room = self.positions as usize - prompt.len();
-        let mut wave = 0;
-        while wave < tree.path_count() {
-            let end = (wave + wave_paths).min(tree.path_count());
-            let mut in_wave = 0;
-            for index in 0..tree.len() {
-                let (first, last) = tree.paths(index);
-                let (first, last) = (first.max(wave), last.min(end));
-                if first >= last {
-                    continue;
-                }
-                in_wave += 1;
-                if in_wave > room {
-                    self.forget();
-                    return Err(ModelError::TooLong { prompt: prompt.len(), tree: tree.len(), context });
-                }
-                let position = prompt.len() + tree.depth(index) as usize - 1;
-                self.untidy = true;
-                self.push(tree.token(index), position, first - wave..last - wave, Some(index + 1), &mut stats, visit)?;
-                stats.tree_tokens_decoded += 1;
-            }
-            wave = end;
-            if wave < tree.path_count() {
-                self.flush(&mut stats, visit)?;
-                self.truncate_cache(prompt.len())?;
-            }
-        }
+        self.push_tree(prompt.len(), tree, wave_paths, &mut stats, visit)?;
         self.flush(&mut stats, visit)?;
         self.kept.truncate(keep);
         self.kept.extend_from_slice(&prompt[keep..]);

@@ -799,10 +799,7 @@ impl<M: LanguageModel> Scorer<M> {
                 }
                 softmax_ns += now().saturating_sub(start);
             })?;
-            if let Err(error) = self.rows.check(bad_row) {
-                self.model.forget();
-                return Err(error.into());
-            }
+            self.rows.check(bad_row).inspect_err(|_| self.model.forget())?;
             let call_ns = now().saturating_sub(call);
             out.stats += stats;
             let settling = now();
@@ -886,10 +883,7 @@ impl<M: LanguageModel> Scorer<M> {
             }
             softmax_ns += now().saturating_sub(start);
         })?;
-        if let Err(error) = self.rows.check(bad_row) {
-            self.model.forget();
-            return Err(error.into());
-        }
+        self.rows.check(bad_row).inspect_err(|_| self.model.forget())?;
         let decoded = now();
         // Parents precede their children, so one pass turns conditional probabilities into q(n).
         for index in 0..nodes.len() {
