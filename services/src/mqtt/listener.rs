@@ -162,12 +162,18 @@ impl Listener {
             is_silence_over |= matches!(what, What::Said(_)) && held.is_none_or(|held| held.is_on);
             outcomes.push(Outcome { number, value, what });
         }
-        let said = outcomes.iter().filter(|outcome| matches!(outcome.what, What::Said(_))).count();
-        self.heard.said += said as u64;
         if is_silence_over {
             self.waiting.retain(|waiting| waiting.lasting.is_some());
         }
-        for outcome in &outcomes {
+        self.account(topic, &outcomes, &lasts, now);
+        outcomes
+    }
+
+    /// Counts what came of a message, and keeps the lines that wait.
+    fn account(&mut self, topic: &str, outcomes: &[Outcome], lasts: &HashMap<usize, Lasting>, now: Instant) {
+        let said = outcomes.iter().filter(|outcome| matches!(outcome.what, What::Said(_))).count();
+        self.heard.said += said as u64;
+        for outcome in outcomes {
             match &outcome.what {
                 What::Waits(line, quiet) => {
                     let lasting = lasts.get(&outcome.number).copied();
@@ -190,7 +196,6 @@ impl Listener {
             let is_unsayable = outcomes.iter().any(|outcome| matches!(outcome.what, What::Unfit(_)));
             *(if is_unsayable { &mut self.heard.unsayable } else { &mut self.heard.silent }) += 1;
         }
-        outcomes
     }
 
     /// Adds a waiting line; the wait of an equal line starts again. Returns whether there was room.

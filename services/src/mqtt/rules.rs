@@ -367,35 +367,47 @@ impl Rules {
     }
 }
 
+/// The MQTT filter of a rule's topic, and the name of each level that may vary.
+fn filter_of(topic: &str) -> Result<(String, Vec<Option<NamedLevel>>), String> {
+    let mut captures = Vec::new();
+    let mut filter = Vec::new();
+    for level in topic.split('/') {
+        let own = NamedLevel::new(level)?;
+        if level == "+" || own.is_some() {
+            captures.push(own.clone());
+        }
+        filter.push(if own.is_some() { "+" } else { level });
+    }
+    let topic = filter.join("/");
+    let levels: Vec<_> = topic.split('/').collect();
+    let wild = |level: &&str| level.contains(['+', '#']) && level.len() > 1;
+    if levels.first() == Some(&"$share") {
+        return Err(format!(
+            "the topic {topic:?} is a shared subscription, which would take messages from its other clients: leave $share and the name behind it out"
+        ));
+    }
+    if topic.is_empty() || levels.iter().any(wild) || levels.iter().rev().skip(1).any(|level| *level == "#") {
+        return Err(format!("the topic {topic:?} is no MQTT filter (+ and # stand alone, # at the end)"));
+    }
+    Ok((topic, captures))
+}
+
+fn lasting_of(for_s: f64) -> Result<Duration, String> {
+    let allowed = for_s > 0.0 && for_s <= LASTING_S_MAX;
+    let lasting = Duration::try_from_secs_f64(for_s).ok().filter(|_| allowed);
+    lasting.ok_or_else(|| format!("for_s is {for_s}; give seconds above 0, at most {LASTING_S_MAX}"))
+}
+
 impl Rule {
     fn new(keys: RuleKeys) -> Result<Self, String> {
         let RuleKeys { topic, field, when, unless, above, below, retained, repeats, say, presence, sensor, .. } = keys;
         let condition = Condition::new(ConditionKeys { when: when.as_deref(), unless: &unless, above, below })?;
-        let mut captures = Vec::new();
-        let mut filter = Vec::new();
-        for level in topic.split('/') {
-            let own = NamedLevel::new(level)?;
-            if level == "+" || own.is_some() {
-                captures.push(own.clone());
-            }
-            filter.push(if own.is_some() { "+" } else { level });
-        }
-        let (topic, names_a_room) =
-            (filter.join("/"), captures.iter().flatten().any(|named: &NamedLevel| named.name == "room"));
-        let levels: Vec<_> = topic.split('/').collect();
-        let wild = |level: &&str| level.contains(['+', '#']) && level.len() > 1;
-        if levels.first() == Some(&"$share") {
-            return Err(format!(
-                "the topic {topic:?} is a shared subscription, which would take messages from its other clients: leave $share and the name behind it out"
-            ));
-        }
-        if topic.is_empty() || levels.iter().any(wild) || levels.iter().rev().skip(1).any(|level| *level == "#") {
-            return Err(format!("the topic {topic:?} is no MQTT filter (+ and # stand alone, # at the end)"));
-        }
+        let (topic, captures) = filter_of(&topic)?;
         if field.as_ref().is_some_and(|field| !field.starts_with('/')) {
             return Err("field is a JSON pointer and begins with a slash, as in \"/state\"".to_owned());
         }
-        let places = levels.iter().filter(|level| **level == "+").count();
+        let names_a_room = captures.iter().flatten().any(|named| named.name == "room");
+        let places = topic.split('/').filter(|level| *level == "+").count();
         // The room in the topic is the room of the event, if the rule gives no other.
         let is_placed = sensor.is_some() || presence.is_some();
         let room = keys.room.as_deref().or((names_a_room && is_placed).then_some("{room}"));
@@ -424,12 +436,7 @@ impl Rule {
             ));
         }
         let all = keys.all.iter().map(Also::new).collect::<Result<_, _>>()?;
-        let lasting = keys.for_s.map(|for_s| {
-            let allowed = for_s > 0.0 && for_s <= LASTING_S_MAX;
-            let lasting = Duration::try_from_secs_f64(for_s).ok().filter(|_| allowed);
-            lasting.ok_or_else(|| format!("for_s is {for_s}; give seconds above 0, at most {LASTING_S_MAX}"))
-        });
-        let lasting = lasting.transpose()?;
+        let lasting = keys.for_s.map(lasting_of).transpose()?;
         if lasting.is_some() && (quiet_s.is_some() || repeats) {
             return Err(
                 "for_s excludes quiet_s and repeats: a rule waits for its value to last, or for silence".to_owned()

@@ -29,6 +29,27 @@ const FORECAST_PATIENCE: Duration = Duration::from_millis(5);
 const HISTORY_PATIENCE: Duration = Duration::from_millis(250);
 const QUIET_NS: u64 = 5_000_000_000;
 
+/// Places for the next messages: they are large.
+#[derive(Default)]
+struct Newest(Box<ForecastV1>, Box<PersonForecastsV1>);
+
+/// Takes forecasts and persons that came. Returns whether the planner has those of its scores.
+fn take_forecasts(
+    planner: &mut Planner,
+    (forecasts, persons): (&Subscriber<ForecastV1>, &Subscriber<PersonForecastsV1>),
+    Newest(forecast, each): &mut Newest,
+    log: &mut Limiter,
+) -> Result<bool, IpcError> {
+    while receive(forecasts, forecast, log)? {
+        is_taken::<ForecastV1>(planner.take_forecast(forecast, clock::monotonic_ns()), log);
+    }
+    while receive(persons, each, log)? {
+        is_taken::<PersonForecastsV1>(planner.take_persons(each, clock::monotonic_ns()), log);
+    }
+    let now_ns = clock::monotonic_ns();
+    Ok(!planner.lacks_forecast() && !planner.lacks_sets(now_ns) && !planner.expects_persons(now_ns))
+}
+
 /// Runs until asked to stop.
 ///
 /// # Errors
@@ -50,8 +71,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let mut log = Limiter::new(QUIET_NS);
     // At the start the scores need a moment to arrive, so their absence counts only after the deadline.
     let patience_ns = clock::monotonic_ns().saturating_add(config.planner.deadline_ms.saturating_mul(1_000_000));
-    let (mut snapshot, mut forecast) = (Box::<RoomScoresV1>::default(), Box::<ForecastV1>::default());
-    let mut each = Box::<PersonForecastsV1>::default();
+    let (mut snapshot, mut newest) = (Box::<RoomScoresV1>::default(), Newest::default());
     let mut other = DecisionV1::default();
     let (mut early, mut awake) = (VecDeque::new(), Awake::new(config.ipc.spin_us));
     // If two robots go to one room, one of them must leave at once.
@@ -77,21 +97,10 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
             awake.heard();
         }
         let waits_until = Instant::now() + FORECAST_PATIENCE;
-        loop {
-            while receive(&forecasts, &mut forecast, &mut log)? {
-                is_taken::<ForecastV1>(planner.take_forecast(&forecast, clock::monotonic_ns()), &mut log);
-            }
-            while receive(&persons, &mut each, &mut log)? {
-                is_taken::<PersonForecastsV1>(planner.take_persons(&each, clock::monotonic_ns()), &mut log);
-            }
+        while !take_forecasts(&mut planner, (&forecasts, &persons), &mut newest, &mut log)? && has_scores {
             let left = waits_until.saturating_duration_since(Instant::now());
-            let now_ns = clock::monotonic_ns();
-            let lacks = planner.lacks_forecast() || planner.lacks_sets(now_ns) || planner.expects_persons(now_ns);
-            if !(has_scores
-                && lacks
-                && !left.is_zero()
-                && awake.wait(left, |left| roomcast_ipc::wait_for_any(&behind_scores, left))?)
-            {
+            let wait = |left| roomcast_ipc::wait_for_any(&behind_scores, left);
+            if left.is_zero() || !awake.wait(left, wait)? {
                 break;
             }
         }

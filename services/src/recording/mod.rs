@@ -542,6 +542,27 @@ pub fn decode(path: &Path, bytes: &[u8]) -> Result<Recording, RecordingError> {
     decode_until(path, bytes, &|| false, None)
 }
 
+impl Recording {
+    fn take(
+        &mut self,
+        header: &MessageHeader,
+        topic: &str,
+        data: &[u8],
+        mut search: Option<&mut Search>,
+    ) -> Result<(), String> {
+        if let Some(search) = &mut search {
+            search.start_ns.get_or_insert(header.log_time);
+        }
+        if topic == question::MOMENT {
+            return keep(self, search, header.log_time, data);
+        }
+        let message = original(data).and_then(|bytes| Recorded::decode(topic, &bytes))?;
+        self.messages.push((header.log_time, message));
+        self.received_unix_ns.push(header.publish_time);
+        Ok(())
+    }
+}
+
 fn decode_until(
     path: &Path,
     bytes: &[u8],
@@ -560,7 +581,7 @@ fn decode_until(
     let options = LinearReaderOptions::default().with_record_length_limit(RECORD_BYTES_MAX);
     let mut reader = LinearReader::new_with_options(options.with_validate_chunk_crcs(true));
     let (mut recording, mut topics) = (Recording::default(), BTreeMap::new());
-    let (mut rest, mut index, mut unpacked) = (bytes, 0, 0_u64);
+    let (mut rest, mut unpacked) = (bytes, 0_u64);
     let is_finished = bytes.ends_with(mcap::MAGIC);
     let mut events = 0_u64;
     while let Some(event) = reader.next_event() {
@@ -569,7 +590,7 @@ fn decode_until(
             return Err(RecordingError::Stopped(path.to_owned()));
         }
         let (opcode, data) = match event {
-            Err(_) if !is_finished && index > 0 => {
+            Err(_) if !is_finished && !recording.messages.is_empty() => {
                 recording.is_torn = true;
                 break;
             }
@@ -600,19 +621,9 @@ fn decode_until(
                     let topic = topics.get(&header.channel_id);
                     let topic = topic.ok_or(McapError::UnknownChannel(header.sequence, header.channel_id));
                     let topic = topic.map_err(mcap)?;
-                    if let Some(search) = &mut search {
-                        search.start_ns.get_or_insert(header.log_time);
-                    }
-                    if topic == question::MOMENT {
-                        let kept = keep(&mut recording, search.as_deref_mut(), header.log_time, &data);
-                        kept.map_err(|reason| wrong(index, topic, reason))?;
-                        continue;
-                    }
-                    let decoded = original(&data).and_then(|bytes| Recorded::decode(topic, &bytes));
-                    let decoded = decoded.map_err(|reason| wrong(index, topic, reason))?;
-                    recording.messages.push((header.log_time, decoded));
-                    recording.received_unix_ns.push(header.publish_time);
-                    index += 1;
+                    let index = recording.messages.len();
+                    let taken = recording.take(&header, topic, &data, search.as_deref_mut());
+                    taken.map_err(|reason| wrong(index, topic, reason))?;
                 }
                 _ => {}
             },
@@ -620,7 +631,7 @@ fn decode_until(
                 let (time_ns, name, data) = attachment(data).ok_or(McapError::UnexpectedEof).map_err(mcap)?;
                 if name.starts_with(MOMENT_FILES) {
                     let kept = keep(&mut recording, search.as_deref_mut(), time_ns, data);
-                    kept.map_err(|reason| wrong(index, &name, reason))?;
+                    kept.map_err(|reason| wrong(recording.messages.len(), &name, reason))?;
                 }
             }
             // Schemas, statistics and indexes are not needed.
