@@ -1,4 +1,4 @@
-//! llama.cpp as a [`LanguageModel`]. No other file calls it.
+//! llama.cpp as a [`LanguageModel`]. Only this file decodes.
 //!
 //! **The prefix stays.** After a call the cache holds the prompt on every sequence in use. The next call removes only the difference and
 //! decodes only the rest.
@@ -14,20 +14,18 @@ use std::cell::RefCell;
 use std::io::Read;
 use std::num::NonZeroU32;
 use std::path::Path;
-use std::sync::{Arc, LazyLock, Mutex, OnceLock};
+use std::sync::{Arc, LazyLock};
 use std::time::Instant;
 
 use llama_cpp_2::context::LlamaContext;
-use llama_cpp_2::context::params::{KvCacheType, LlamaContextParams};
+use llama_cpp_2::context::params::LlamaContextParams;
 use llama_cpp_2::context::session::{LlamaStateSeqFlags, SeqState};
-use llama_cpp_2::llama_backend::LlamaBackend;
 use llama_cpp_2::llama_batch::LlamaBatch;
 use llama_cpp_2::model::LlamaModel as Weights;
 use llama_cpp_2::model::params::LlamaModelParams;
 use llama_cpp_2::token::LlamaToken;
 use llama_cpp_2::token_type::LlamaTokenAttr;
 use llama_cpp_2::vocab::LlamaVocab;
-use llama_cpp_2::{LogOptions, send_logs_to_tracing};
 use rustix::process::{Resource, getrlimit};
 use sha2::{Digest, Sha256};
 
@@ -38,13 +36,10 @@ use roomcast_core::scorer::{
     common_prefix,
 };
 
+use crate::backend::backend;
 use crate::gguf::{Header, open_plain};
+use crate::options::{BLOCK, CacheType, LlamaOptions, SEQUENCES_MAX, broken_blocks};
 use crate::pieces::Pieces;
-
-/// llama.cpp's own limit on sequences in a context (LLAMA_MAX_SEQ).
-pub const SEQUENCES_MAX: u32 = 256;
-/// Most threads of one decoder call; with more, llama.cpp accesses memory out of bounds.
-pub const THREADS_MAX: usize = 256;
 
 /// Tokens times parameters of a call in the background. A new event waits for its end, or shares the memory with it. A core of some years
 /// ago takes 20 to 60 ms for it. A call reads all weights, so smaller calls take more time in all.
@@ -52,8 +47,6 @@ const SMALL_CALL: u64 = 2_000_000_000;
 /// Most tokens of such a call: llama.cpp allocates memory for them.
 const SMALL_CALL_TOKENS: usize = 64;
 
-/// Most parameters of a model for which [`CacheType::Auto`] is [`CacheType::Q8`]: with 11 million it takes less time than `mixed`, with 135 million more.
-const Q8_PARAMETERS_MAX: u64 = 50_000_000;
 /// llama.cpp rounds the positions of a context up to a multiple of this.
 const POSITIONS_STEP: u32 = 256;
 
@@ -62,119 +55,6 @@ const ASIDE_MAX: usize = 8;
 
 /// Tokens that llama.cpp computes at a time. Its buffers have a row of logits for each, and most events are shorter.
 const TOKENS_AT_A_TIME: u32 = 128;
-
-roomcast_core::choices! {
-    /// How the key-value cache is stored.
-    #[derive(Default)]
-    pub enum CacheType {
-        /// `q8` for models of at most 50 million parameters, such as the embedded one, else `mixed` (docs/performance.md).
-        #[default]
-        Auto,
-        /// Half precision: two thirds of the memory of `mixed`, and differences of up to 1e-2 nats per token between scoring methods, because
-        /// llama.cpp multiplies values by half precision differently at other batch sizes.
-        F16,
-        /// Keys in half precision, values in single. llama.cpp multiplies half-precision keys in tiles, but takes single-precision ones one by
-        /// one, which can be half of an event; scores of unquantised weights move by some 1e-3 nats (docs/performance.md).
-        Mixed,
-        /// Single precision: methods differ by the order of their sums alone. Quantised weights can make hundredths of a nat of
-        /// that, once in some hundred prompts.
-        F32,
-        /// Blocks of 32 eight-bit numbers, as Q8_0 weights are, read by llama.cpp's fused attention: a third of the memory of `mixed`,
-        /// and no work for positions that nobody sees. Faster behind short narrations, slower behind long ones and with larger models. Scores of
-        /// unquantised weights move by less than 5e-2 nats, those of Q8_0 weights hardly further than these weights do by themselves.
-        Q8,
-    }
-}
-
-impl CacheType {
-    fn chosen(self, header: &Header, parameters: u64) -> Self {
-        match self {
-            Self::Auto => {
-                let whole = |width: Option<u64>| width.is_some_and(|width| width % BLOCK == 0);
-                let fits = parameters <= Q8_PARAMETERS_MAX && head_widths(header).into_iter().all(whole);
-                if fits { Self::Q8 } else { Self::Mixed }
-            }
-            named => named,
-        }
-    }
-
-    /// The types of keys and values, and whether llama.cpp's fused attention reads them.
-    fn stored(self) -> (KvCacheType, KvCacheType, bool) {
-        match self {
-            Self::F16 => (KvCacheType::F16, KvCacheType::F16, false),
-            Self::Auto | Self::Mixed => (KvCacheType::F16, KvCacheType::F32, false),
-            Self::F32 => (KvCacheType::F32, KvCacheType::F32, false),
-            Self::Q8 => (KvCacheType::Q8_0, KvCacheType::Q8_0, true),
-        }
-    }
-}
-
-/// Numbers in a block of [`CacheType::Q8`]: a head's keys and values fill whole blocks.
-const BLOCK: u64 = 32;
-
-/// Options of a model.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LlamaOptions {
-    /// Threads of one decoder call, 1 to [`THREADS_MAX`].
-    pub threads: usize,
-    /// Most positions in the cache: prompt and tree together. The model's training length limits them, and memory is allocated when it is
-    /// needed ([`LanguageModel::reserve`]).
-    pub context_tokens: u32,
-    /// Paths that are decoded in one call, 1 to [`SEQUENCES_MAX`].
-    pub sequences: u32,
-    /// How the cache is stored.
-    pub cache: CacheType,
-    /// Lock the weights in memory.
-    pub lock_memory: bool,
-}
-
-impl Default for LlamaOptions {
-    fn default() -> Self {
-        // One core stays free for the rest of the robot, even of two. The threads of a call wait for one another a hundred times, so a core
-        // in other use delays all of them.
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        Self {
-            threads: cores.saturating_sub(1).max(1),
-            context_tokens: 2048,
-            sequences: 64,
-            cache: CacheType::default(),
-            lock_memory: false,
-        }
-    }
-}
-
-impl LlamaOptions {
-    fn positions(&self, trained_tokens: u32) -> u32 {
-        self.context_tokens.min(trained_tokens).max(1)
-    }
-
-    /// llama.cpp's context parameters for a model that was trained on sequences of `trained_tokens`.
-    #[must_use]
-    pub fn context_parameters(&self, trained_tokens: u32) -> LlamaContextParams {
-        let positions = self.positions(trained_tokens);
-        let threads = i32::try_from(self.threads.clamp(1, THREADS_MAX)).unwrap_or(1);
-        let (keys, values, fused) = self.cache.stored();
-        let batch_tokens = positions.min(512);
-        LlamaContextParams::default()
-            .with_n_ctx(NonZeroU32::new(positions))
-            .with_n_batch(batch_tokens)
-            .with_n_ubatch(batch_tokens)
-            .with_n_seq_max(self.sequences.clamp(1, SEQUENCES_MAX))
-            .with_n_threads(threads)
-            .with_n_threads_batch(threads)
-            .with_type_k(keys)
-            .with_type_v(values)
-            // The fused kernels sum half or single precision in half precision. Only Q8 uses them, so that the arithmetic stays the same.
-            .with_flash_attention_policy(if fused {
-                llama_cpp_sys_2::LLAMA_FLASH_ATTN_TYPE_ENABLED
-            } else {
-                llama_cpp_sys_2::LLAMA_FLASH_ATTN_TYPE_DISABLED
-            })
-            .with_kv_unified(true)
-            .with_swa_full(true)
-            .with_no_perf(true)
-    }
-}
 
 self_cell::self_cell!(
     /// A context borrows its weights, so both move together. Another thread that counts tokens shares the weights.
@@ -226,62 +106,6 @@ impl std::fmt::Debug for LlamaModel {
     }
 }
 
-/// Sets up llama.cpp's process-wide state once; its log goes to `tracing`. This is public for programs that also run llama.cpp directly, to
-/// compare: a second set-up fails.
-///
-/// # Errors
-/// Why it cannot be set up.
-pub fn backend() -> Result<&'static LlamaBackend, String> {
-    static BACKEND: OnceLock<LlamaBackend> = OnceLock::new();
-    static SETTING_UP: Mutex<()> = Mutex::new(());
-    let _guard = SETTING_UP.lock().map_err(|_| "setting up llama.cpp failed before".to_owned())?;
-    if let Some(backend) = BACKEND.get() {
-        return Ok(backend);
-    }
-    send_logs_to_tracing(LogOptions::default().with_logs_enabled(true));
-    #[cfg(feature = "portable")]
-    load_kernels()?;
-    let backend = LlamaBackend::init().map_err(|e| e.to_string())?;
-    Ok(BACKEND.get_or_init(|| backend))
-}
-
-/// Loads the kernels that fit this processor best, from `../lib/roomcast` beside the program. Never from the folder of the build: on a user's
-/// machine, another user could create that folder.
-#[cfg(feature = "portable")]
-fn load_kernels() -> Result<(), String> {
-    use llama_cpp_2::llama_backend::load_backends_from_path;
-    let program = std::env::current_exe().map_err(|e| format!("the program's own path cannot be found: {e}"))?;
-    let folder = &program.ancestors().nth(2).unwrap_or(&program).join("lib/roomcast");
-    let mut entries = folder.read_dir().into_iter().flatten().flatten();
-    if folder.to_str().is_none()
-        || !entries.any(|entry| entry.file_name().to_string_lossy().starts_with("libggml-cpu-"))
-    {
-        return Err(format!("no kernels (libggml-cpu-*.so) in {}: install the package again", folder.display()));
-    }
-    load_backends_from_path(folder);
-    Ok(())
-}
-
-/// The vector units and options that llama.cpp was compiled with, as ggml names them (`AVX2`, `FMA`, `NEON`, ...).
-///
-/// # Errors
-/// When llama.cpp cannot be set up.
-pub fn build_features() -> Result<Vec<String>, ModelError> {
-    static ASKING: Mutex<()> = Mutex::new(());
-    let fail = |reason: String| ModelError::Load { path: "(llama.cpp)".into(), reason };
-    backend().map_err(fail)?;
-    let guard = ASKING.lock().map_err(|_| fail("asking for its features failed before".into()))?;
-    #[expect(unsafe_code, reason = "llama-cpp-2 has no safe function for it")]
-    // SAFETY: the function returns a zero-terminated text in a static that the next call rewrites. The lock keeps other calls away until it
-    // is copied, and the backend is set up.
-    let text =
-        unsafe { std::ffi::CStr::from_ptr(llama_cpp_sys_2::llama_print_system_info()) }.to_string_lossy().into_owned();
-    drop(guard);
-    // "CPU : SSE3 = 1 | AVX2 = 1 | "
-    let entries = text.split(['|', ':']).filter_map(|entry| entry.trim().split_once(" = "));
-    Ok(entries.filter(|&(_, value)| value.trim() != "0").map(|(name, _)| name.to_owned()).collect())
-}
-
 /// SHA-256 of a file.
 ///
 /// # Errors
@@ -296,18 +120,6 @@ pub fn file_sha256(path: &Path) -> std::io::Result<[u8; 32]> {
             count => hash.update(&block[..count]),
         }
     }
-}
-
-/// The widths of the model's keys and values per head. `None` if the model has no single number for it.
-fn head_widths(header: &Header) -> [Option<u64>; 2] {
-    let number = |name| header.architecture_number(name);
-    let even = || number("embedding_length")?.checked_div(number("attention.head_count")?);
-    [number("attention.key_length").or_else(even), number("attention.value_length").or_else(even)]
-}
-
-/// A head width that does not fill whole blocks of [`CacheType::Q8`]. llama.cpp rejects other widths that it cannot store.
-fn broken_blocks(header: &Header) -> Option<u64> {
-    head_widths(header).into_iter().flatten().find(|width| width % BLOCK != 0)
 }
 
 /// Whether texts may be tokenised sentence by sentence with this SentencePiece vocabulary. It merges two neighbours only to a token that it

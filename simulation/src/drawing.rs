@@ -5,11 +5,16 @@
 use std::fmt::Write as _;
 
 use svg::Document;
-use svg::node::element::{Circle, Definitions, Group, Line, LinearGradient, Path, Rectangle, Stop, Text};
+use svg::node::element::{Circle, Group, Line, Path, Rectangle, Text};
 
 use roomcast_core::grounding::Grounding;
-use roomcast_core::semantic_map::{Box3, Footprint, PartitionId, SemanticMap, Space, Storeys};
+use roomcast_core::semantic_map::{Box3, Footprint, SemanticMap, Space, Storeys};
 use roomcast_core::text::count;
+
+mod names;
+mod panel;
+
+use panel::warmest;
 
 /// The font of all drawings; `png.rs` compiles it in.
 pub const FONT: &str = "DejaVu Sans";
@@ -581,126 +586,6 @@ impl<'a> Plan<'a> {
         dots
     }
 
-    /// Names of partitions with their probabilities, each in the place with the fewest things.
-    fn partition_names(&mut self) -> Group {
-        let mut names = Group::new();
-        let called = self.grounding.partition_names();
-        for (index, spaces) in self.partitions.iter().enumerate() {
-            let largest = |a: &&Space, b: &&Space| floor_m2(a).total_cmp(&floor_m2(b));
-            let Some(space) = spaces.iter().max_by(largest) else { continue };
-            let area = self.area(&space.bounds);
-            let probability = self.heat.map(|heat| percent(heat.partition_probability[index]));
-            let beside_px = |size_px: f64| probability.as_ref().map_or(0.0, |text| width_px(text, size_px) + 12.0);
-            // A name is set smaller before it is cut off.
-            let sizes = if self.grounding.partitions().len() <= 8 { &NAME_PX[..] } else { &NAME_PX[2..] };
-            let most_px = area.right - area.left - NAME_MARGIN_PX;
-            let whole = |size_px: &&f64| width_px(&called[index], **size_px) * BOLDER + beside_px(**size_px) <= most_px;
-            let (size_px, name) = match sizes.iter().find(whole) {
-                Some(size_px) => (*size_px, called[index].clone()),
-                None => {
-                    let size_px = NAME_PX[NAME_PX.len() - 1];
-                    (size_px, shortened(&called[index], size_px * BOLDER, (most_px - beside_px(size_px)).max(40.0)))
-                }
-            };
-            let width = width_px(&name, size_px) * BOLDER + beside_px(size_px);
-            let (width, height) = (width + 20.0, size_px + 13.0);
-            let place = self.quietest(space, &area, width, height);
-            self.taken.push(place);
-            let middle = (place.top + place.bottom) / 2.0;
-            names = names.add(
-                Rectangle::new()
-                    .set("x", rounded(place.left))
-                    .set("y", rounded(place.top))
-                    .set("width", rounded(width))
-                    .set("height", rounded(height))
-                    .set("rx", rounded(height / 2.0))
-                    .set("fill", WALL),
-            );
-            names = names
-                .add(Label { bold: true, colour: PAPER, ..Label::new(&name, size_px) }.at(place.left + 10.0, middle));
-            if let Some(text) = probability {
-                let label = Label { colour: "#ffd9a0", anchor: "end", ..Label::new(&text, size_px) };
-                names = names.add(label.at(place.right - 10.0, middle));
-            }
-        }
-        names
-    }
-
-    /// The place of the given size in the area that covers the fewest things, nearest to the top left corner.
-    fn quietest(&self, space: &Space, area: &Area, width: f64, height: f64) -> Area {
-        let room_x = (area.right - area.left - width - 16.0).max(0.0);
-        let room_y = (area.bottom - area.top - height - 16.0).max(0.0);
-        let things: Vec<Area> = (0..self.things.len())
-            .filter(|&index| !self.is_structure(index))
-            .map(|index| {
-                let Thing { bounds, position_m: [east_m, north_m], .. } = &self.things[index];
-                if self.is_furniture(index) {
-                    self.area(bounds)
-                } else {
-                    Area::around(self.x(*east_m), self.y(*north_m), 5.0, 5.0)
-                }
-            })
-            .chain(self.doors.iter().flat_map(Door::places_m).map(|[east_m, north_m]| {
-                let size_px = 2.0 * DOOR_M * self.scale;
-                Area::around(self.x(east_m), self.y(north_m), size_px, size_px)
-            }))
-            .filter(|thing| thing.meets(area))
-            .collect();
-        const STEPS: usize = 24;
-        let mut best = (usize::MAX, Area::around(0.0, 0.0, 0.0, 0.0));
-        for step in 0..STEPS * STEPS {
-            let (down, right) = (step / STEPS, step % STEPS);
-            let left = area.left + 8.0 + room_x * right as f64 / (STEPS - 1) as f64;
-            let top = area.top + 8.0 + room_y * down as f64 / (STEPS - 1) as f64;
-            let place = Area { left, top, right: left + width, bottom: top + height };
-            let off = [(0.0, 0.0), (width, 0.0), (0.0, height), (width, height), (0.5 * width, 0.5 * height)];
-            let off = off.iter().filter(|(right, down)| {
-                let (east_m, north_m) = (self.east_m(left + right), self.north_m(top + down));
-                space.footprint.is_some() && !space.contains(&[east_m, north_m, space.bounds.centre_m()[2]])
-            });
-            let covered = 200 * off.count()
-                + things.iter().filter(|thing| thing.meets(&place)).count()
-                + 100 * self.taken.iter().filter(|taken| taken.meets(&place)).count();
-            if covered < best.0 {
-                best = (covered, place);
-            }
-        }
-        best.1
-    }
-
-    /// Names on large furniture, from the top down, each in the place that hides least.
-    fn furniture_names(&mut self) -> Group {
-        let items = self.map.items();
-        let order = self.furniture_order();
-        let dots: Vec<Area> = (0..items.len())
-            .filter(|&index| !self.is_furniture(index) && !self.is_structure(index))
-            .map(|index| self.things[index].position_m)
-            .map(|[east_m, north_m]| Area::around(self.x(east_m), self.y(north_m), 4.0, 4.0))
-            .collect();
-        let mut above: Vec<Area> = Vec::new();
-        let mut names = Group::new();
-        for &index in order.iter().rev() {
-            let area = self.area(&self.things[index].bounds);
-            let text = &self.map.labels()[items[index].label.0 as usize];
-            let (width, height) = (area.right - area.left - 6.0, area.bottom - area.top - 4.0);
-            if let Some(block) = TextBlock::fit(text, width, height) {
-                let dots: Vec<&Area> = dots.iter().filter(|dot| dot.meets(&area)).collect();
-                let cost = |place: &Area| {
-                    let hides = above.iter().chain(&self.taken).filter(|other| other.meets(place)).count();
-                    100 * hides + dots.iter().filter(|dot| dot.meets(place)).count()
-                };
-                let (place, cost) = block.best_place(&area, cost);
-                if cost < 100 {
-                    let hot = self.heat_of(index).is_some_and(|heat| heat > 0.7);
-                    names = names.add(block.draw(&place, hot));
-                    self.taken.push(place);
-                }
-            }
-            above.push(area);
-        }
-        names
-    }
-
     /// With heat: names of the small things that have most of it.
     fn marked_items(&mut self) -> Group {
         let mut marks = Group::new();
@@ -752,116 +637,6 @@ impl<'a> Plan<'a> {
             .add(Path::new().set("d", format!("M {north} {} l 6 16 l -6 -4 l -6 4 z", y - 14.0)).set("fill", INK))
             .add(Label { colour: QUIET, anchor: "end", ..Label::new("north", 12.0) }.at(north - 12.0, y - 5.0))
     }
-
-    fn panel(&self, left: f64) -> (Group, f64) {
-        let mut panel = Group::new();
-        let mut y = TITLE_PX + 8.0;
-        let heading = |text: &'static str| Label { bold: true, ..Label::new(text, 14.0) };
-        const ROWS: usize = 12;
-        const BAR_PX: f64 = 92.0;
-
-        panel = panel.add(heading(if self.heat.is_some() { "Where next" } else { "What is where" }).at(left, y));
-        y += 26.0;
-        let (partitions, called) = (self.grounding.partitions(), self.grounding.partition_names());
-        let order = match self.heat {
-            Some(heat) => warmest(&heat.partition_probability, ROWS),
-            None => (0..partitions.len().min(ROWS)).collect(),
-        };
-        for &index in &order {
-            let name = shortened(&called[index], 13.0, PANEL_PX - BAR_PX - 70.0);
-            panel = panel.add(Label::new(&name, 13.0).at(left, y));
-            let value = if let Some(heat) = self.heat {
-                let probability = heat.partition_probability[index];
-                panel = panel.add(bar(
-                    left + PANEL_PX - BAR_PX - 58.0,
-                    y,
-                    BAR_PX,
-                    probability,
-                    &colour(probability.max(0.4)),
-                ));
-                percent(probability)
-            } else {
-                let own = PartitionId(u32::try_from(index).unwrap_or(u32::MAX));
-                let items = self.grounding.item_partition().iter().filter(|partition| **partition == Some(own)).count();
-                count(items, "item")
-            };
-            panel =
-                panel.add(Label { anchor: "end", colour: QUIET, ..Label::new(&value, 13.0) }.at(left + PANEL_PX, y));
-            y += 22.0;
-        }
-        let hidden = partitions.len() - order.len();
-        if hidden > 0 {
-            let text = format!("and {hidden} more");
-            panel = panel.add(Label { colour: QUIET, ..Label::new(&text, 12.0) }.at(left, y));
-            y += 22.0;
-        }
-        let outside = self.grounding.unassigned().len();
-        if outside > 0 {
-            let text = format!("{outside} outside every partition");
-            panel = panel.add(Label { colour: "#b3261e", ..Label::new(&text, 12.0) }.at(left, y));
-            y += 22.0;
-        }
-
-        if let Some(heat) = self.heat {
-            y += 16.0;
-            panel = panel.add(heading("Warmest things").at(left, y));
-            y += 26.0;
-            for (label, share) in self.warmest_labels(heat, ROWS) {
-                let name = shortened(label, 13.0, PANEL_PX - BAR_PX - 70.0);
-                panel = panel.add(Label::new(&name, 13.0).at(left, y));
-                panel = panel.add(bar(left + PANEL_PX - BAR_PX - 58.0, y, BAR_PX, share, "#d4682f"));
-                let value = percent(share);
-                panel = panel
-                    .add(Label { anchor: "end", colour: QUIET, ..Label::new(&value, 13.0) }.at(left + PANEL_PX, y));
-                y += 22.0;
-            }
-            y += 18.0;
-            panel = panel.add(heat_scale(left, y));
-            y += 48.0;
-        }
-
-        y += 16.0;
-        panel = panel.add(heading("Legend").at(left, y));
-        y += 26.0;
-        let swatch = Rectangle::new().set("x", left).set("y", y - 8.0).set("width", 24).set("height", 16);
-        panel = panel
-            .add(swatch.set("rx", 3).set("fill", FURNITURE).set("stroke", EDGE))
-            .add(Label { colour: QUIET, ..Label::new("furniture, seen from above", 12.0) }.at(left + 36.0, y));
-        y += 24.0;
-        panel = panel
-            .add(Circle::new().set("cx", left + 12.0).set("cy", y).set("r", 3).set("fill", DOT))
-            .add(Label { colour: QUIET, ..Label::new("small or hanging thing", 12.0) }.at(left + 36.0, y));
-        y += 24.0;
-        let door = Line::new().set("x1", left).set("x2", left + 24.0).set("y1", y).set("y2", y);
-        panel = panel
-            .add(door.clone().set("stroke", WALL).set("stroke-width", 5))
-            .add(door.set("x1", left + 6.0).set("x2", left + 18.0).set("stroke", PAPER).set("stroke-width", 7))
-            .add(Label { colour: QUIET, ..Label::new("wall with a door", 12.0) }.at(left + 36.0, y));
-        y += 24.0;
-        if !self.map.parts().is_empty() {
-            let line = Line::new().set("x1", left).set("x2", left + 24.0).set("y1", y).set("y2", y);
-            panel = panel
-                .add(line.set("stroke", QUIET).set("stroke-dasharray", "3 5"))
-                .add(Label { colour: QUIET, ..Label::new("part of a room", 12.0) }.at(left + 36.0, y));
-            y += 24.0;
-        }
-        if self.doors.iter().any(|door| matches!(door, Door::Stairs(_))) {
-            panel = panel
-                .add(stairs(left + 12.0, y))
-                .add(Label { colour: QUIET, ..Label::new("way to another storey", 12.0) }.at(left + 36.0, y));
-            y += 24.0;
-        }
-        (panel, y)
-    }
-
-    /// Labels by the summed share of their items.
-    fn warmest_labels(&self, heat: &Heat, count: usize) -> Vec<(&'a str, f64)> {
-        let mut shares = vec![0.0; self.map.labels().len()];
-        for (item, share) in self.map.items().iter().zip(&heat.item_share) {
-            shares[item.label.0 as usize] += share;
-        }
-        warmest(&shares, count).into_iter().map(|label| (self.map.labels()[label].as_str(), shares[label])).collect()
-    }
 }
 
 /// A way to another storey: a few steps.
@@ -911,95 +686,6 @@ fn wall(space: &Space, position_m: &[f64; 2]) -> Wall {
         }
     }
     nearest
-}
-
-fn warmest(values: &[f64], count: usize) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..values.len()).filter(|&index| values[index] > 0.0).collect();
-    order.sort_by(|&a, &b| values[b].total_cmp(&values[a]));
-    order.truncate(count);
-    order
-}
-
-fn bar(left: f64, y: f64, width: f64, share: f64, fill: &str) -> Group {
-    let track = Rectangle::new().set("x", rounded(left)).set("y", rounded(y - 5.0)).set("height", 10).set("rx", 3);
-    let filled = track.clone().set("width", rounded((width * share.clamp(0.0, 1.0)).max(1.5))).set("fill", fill);
-    Group::new().add(track.set("width", rounded(width)).set("fill", "#eeebe4")).add(filled)
-}
-
-fn heat_scale(left: f64, y: f64) -> Group {
-    let mut gradient = LinearGradient::new().set("id", "heat");
-    for step in 0..HEAT.len() {
-        let place = step as f64 / (HEAT.len() - 1) as f64;
-        gradient = gradient.add(Stop::new().set("offset", place).set("stop-color", colour(place)));
-    }
-    let strip = Rectangle::new().set("x", rounded(left)).set("y", rounded(y)).set("width", PANEL_PX).set("height", 10);
-    let end = |text: &'static str, anchor: &'static str| Label { colour: QUIET, anchor, ..Label::new(text, 12.0) };
-    Group::new()
-        .add(Definitions::new().add(gradient))
-        .add(strip.set("rx", 3).set("fill", "url(#heat)").set("stroke", "#e2ddd2").set("stroke-width", 0.5))
-        .add(end("unlikely", "start").at(left, y + 22.0))
-        .add(end("certain", "end").at(left + PANEL_PX, y + 22.0))
-}
-
-/// A text in lines, turned if its place is narrow.
-struct TextBlock {
-    lines: Vec<String>,
-    size_px: f64,
-    upright: bool,
-    /// Width and height on the page, in pixels.
-    extent_px: [f64; 2],
-}
-
-impl TextBlock {
-    /// The largest legible way to write the text into the given width and height; `None` if there is none.
-    fn fit(text: &str, width: f64, height: f64) -> Option<Self> {
-        let by_word: Vec<String> = text.split(' ').map(str::to_owned).collect();
-        let layouts = [vec![text.to_owned()], by_word];
-        for upright in [false, true] {
-            for size_px in [13.0, 11.0, 9.5] {
-                for lines in &layouts {
-                    let along = lines.iter().map(|line| width_px(line, size_px)).fold(0.0, f64::max);
-                    let across = size_px * 1.15 * lines.len() as f64;
-                    let extent_px = if upright { [across, along] } else { [along, across] };
-                    if extent_px[0] <= width && extent_px[1] <= height {
-                        return Some(Self { lines: lines.clone(), size_px, upright, extent_px });
-                    }
-                }
-            }
-        }
-        None
-    }
-
-    /// The cheapest place in the area; of several, the nearest to its centre.
-    fn best_place(&self, area: &Area, cost: impl Fn(&Area) -> usize) -> (Area, usize) {
-        let [width, height] = self.extent_px;
-        let (x, y) = ((area.left + area.right) / 2.0, (area.top + area.bottom) / 2.0);
-        let room_x = ((area.right - area.left - width) / 2.0 - 3.0).max(0.0);
-        let room_y = ((area.bottom - area.top - height) / 2.0 - 2.0).max(0.0);
-        const STEPS: i32 = 4;
-        let step = |index: i32| f64::from(index) / f64::from(STEPS);
-        let steps = (-STEPS..=STEPS).flat_map(|down| (-STEPS..=STEPS).map(move |right| (right, down)));
-        let mut steps: Vec<(i32, i32)> = steps.collect();
-        steps.sort_by_key(|(right, down)| right * right + down * down);
-        let place = |(right, down): (i32, i32)| {
-            let place = Area::around(x + room_x * step(right), y + room_y * step(down), width, height);
-            (place, cost(&place))
-        };
-        let centre = place((0, 0));
-        steps.into_iter().skip(1).map(place).fold(centre, |best, next| if next.1 < best.1 { next } else { best })
-    }
-
-    fn draw(&self, place: &Area, hot: bool) -> Group {
-        let (x, y) = ((place.left + place.right) / 2.0, (place.top + place.bottom) / 2.0);
-        let mut group = Group::new();
-        for (line, text) in self.lines.iter().enumerate() {
-            let offset = (line as f64 - (self.lines.len() - 1) as f64 / 2.0) * self.size_px * 1.15;
-            let colour = if hot { PAPER } else { INK };
-            let label = Label { anchor: "middle", colour, halo: !hot, ..Label::new(text, self.size_px) };
-            group = group.add(label.at(x, y + offset));
-        }
-        if self.upright { group.set("transform", format!("rotate(-90 {} {})", rounded(x), rounded(y))) } else { group }
-    }
 }
 
 #[cfg(test)]

@@ -300,7 +300,7 @@ mod tests {
         let mut given = Vec::new();
         let rivals = Continuation::Labels.rivals(&trie, Some(0));
         let mut row = Vec::new();
-        assert!(super::super::read_row(&trie, Some(0), rivals, &logits, &mut row, |_, log| given.push(log)));
+        assert!(super::super::rows::read_row(&trie, Some(0), rivals, &logits, &mut row, |_, log| given.push(log)));
         let others = (TableModel::VOCABULARY as f64 - 1.0).ln();
         assert!((given[0] - (others - 30.0)).abs() < 1e-5 && given[1].abs() < 1e-9, "{given:?}");
         // A row in which no label is possible is valid.
@@ -308,12 +308,12 @@ mod tests {
             crate::label_trie::LabelTrie::distinct_prefixes(&[vec![Token(1), Token(2)], vec![Token(1), Token(3)]]);
         logits[2..4].fill(f32::NEG_INFINITY);
         let rivals = Continuation::Labels.rivals(&trie, Some(0));
-        assert!(super::super::read_row(&trie, Some(0), rivals, &logits, &mut row, |_, log| given.push(log)));
+        assert!(super::super::rows::read_row(&trie, Some(0), rivals, &logits, &mut row, |_, log| given.push(log)));
         assert_eq!(given[2..], [-2_f64.ln(); 2]);
         // A row with NaN is not.
         logits[2..4].fill(f32::NAN);
         let rivals = Continuation::Labels.rivals(&trie, Some(0));
-        assert!(!super::super::read_row(&trie, Some(0), rivals, &logits, &mut row, |_, _| ()));
+        assert!(!super::super::rows::read_row(&trie, Some(0), rivals, &logits, &mut row, |_, _| ()));
     }
 
     #[test]
