@@ -2,6 +2,8 @@
 # over and over. config.toml names this file as a toolchain, which is what both builds read; it names itself to be read again at the end
 # of each project() call, where there is a project to change.
 set(CMAKE_PROJECT_INCLUDE "${CMAKE_CURRENT_LIST_FILE}")
+# A library would keep the length of its build folder's name: two builds in different folders would differ.
+set(CMAKE_SKIP_RPATH ON)
 if(PROJECT_NAME STREQUAL "llama.cpp")
     # The binding crate asks for the common library, which nothing in Roomcast links.
     set(LLAMA_BUILD_COMMON OFF CACHE BOOL "not linked by Roomcast" FORCE)
