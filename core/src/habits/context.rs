@@ -3,8 +3,6 @@
 //! A key of counts has 64 bits: the level's number, the person's slot, and up to three facts. More than three things are a digest of 48 bits; two
 //! contexts collide once in 10^14.
 
-use super::counts::splitmix;
-
 /// Hours of one part of the day, from midnight on, in local time.
 pub const PART_HOURS: u16 = 3;
 /// Parts of a day.
@@ -21,16 +19,12 @@ const TIMES_MAX: u8 = 3;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Fact {
-    Nothing,
     Here,
     /// The last different things.
     Last,
     Second,
     Third,
-    /// The digests of the last four things and of the last five.
-    Four0,
-    Four1,
-    Four2,
+    /// The digest of the last five things.
     Five0,
     Five1,
     Five2,
@@ -66,11 +60,15 @@ impl Context {
 
     /// After the last different things, the latest first, mentioned so many times again, at this pace.
     pub(crate) fn after(mut self, last: &[u16; LAST], times: u8, pace: u16) -> Self {
-        let things = [last[0], last[1], last[2]];
-        let digests = [things, digest(&last[..4]), digest(last)];
-        self.facts[Fact::Last as usize..][..9].copy_from_slice(digests.as_flattened());
+        let things = [[last[0], last[1], last[2]], digest(last)];
+        self.facts[Fact::Last as usize..][..6].copy_from_slice(things.as_flattened());
         self.times = times;
         self.with([(Fact::Pace, pace)])
+    }
+
+    /// With this thing as the last one.
+    pub(crate) fn of_thing(self, number: u16) -> Self {
+        self.with([(Fact::Last, number)])
     }
 
     /// A horizon before the outcome.
@@ -92,8 +90,9 @@ impl Context {
 /// An expert or a level. Each can be left out, to measure how much it adds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Part {
-    /// The database holds the numbers of levels: those of removed levels stay unused. 0 is never left out.
+    /// The database holds the numbers of levels: those of removed levels stay unused.
     pub(crate) number: u8,
+    /// A part without a name is never left out.
     pub(crate) name: &'static str,
 }
 
@@ -159,9 +158,15 @@ impl Without {
     }
 }
 
-/// The database holds the result.
+/// The database holds the result. A number is mixed in by SplitMix64.
 fn digest(things: &[u16]) -> [u16; 3] {
-    split(things.iter().fold(0, |digest, number| splitmix(digest ^ u64::from(*number)))).2
+    let mix = |digest: u64, number: &u16| {
+        let mut hash = (digest ^ u64::from(*number)).wrapping_add(0x9e37_79b9_7f4a_7c15);
+        hash = (hash ^ (hash >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        hash = (hash ^ (hash >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        hash ^ (hash >> 31)
+    };
+    split(things.iter().fold(0, mix)).2
 }
 
 pub(crate) fn time_class(time_s: f64) -> u16 {

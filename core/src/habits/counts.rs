@@ -4,37 +4,13 @@
 //! the fewest decayed counts are dropped, an eighth of all.
 
 use std::collections::HashMap;
-use std::hash::{BuildHasherDefault, Hasher};
+
+use foldhash::fast::FixedState;
 
 /// Smaller counts are dropped when their row is updated.
 const FORGOTTEN: f32 = 0.02;
 /// A row is updated when its counts have decayed below this factor. Before that, additions are scaled up instead.
 const WORTH: f32 = 0.7;
-
-pub(crate) fn splitmix(state: u64) -> u64 {
-    let mut hash = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    hash = (hash ^ (hash >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    hash = (hash ^ (hash >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    hash ^ (hash >> 31)
-}
-
-/// Keys consist of small numbers that no input chooses.
-#[derive(Debug, Clone, Default)]
-struct Hashed(u64);
-
-impl Hasher for Hashed {
-    fn finish(&self) -> u64 {
-        self.0
-    }
-
-    fn write(&mut self, bytes: &[u8]) {
-        bytes.iter().for_each(|byte| self.write_u64(u64::from(*byte)));
-    }
-
-    fn write_u64(&mut self, key: u64) {
-        self.0 = splitmix(self.0 ^ key);
-    }
-}
 
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Row {
@@ -49,7 +25,8 @@ pub(crate) struct Counts {
     counts_max: usize,
     /// No decay unless positive.
     half_life_min: f64,
-    rows: HashMap<u64, Row, BuildHasherDefault<Hashed>>,
+    /// Keys consist of small numbers that no input chooses.
+    rows: HashMap<u64, Row, FixedState>,
     /// Counts of all rows.
     len: usize,
 }
@@ -143,9 +120,8 @@ impl Counts {
 
     /// Drops the least useful eighth of the rows, except one. If that is the only row, it loses a count.
     fn evict(&mut self, except: u64, now_min: u32) {
-        let worth = |row: &Row| self.seen(row, now_min).sum();
-        let others = self.rows.iter().filter(|(key, _)| **key != except);
-        let mut others: Vec<_> = others.map(|(key, row)| (worth(row), *key)).collect();
+        let others = self.all(now_min).filter(|(key, _)| *key != except);
+        let mut others: Vec<_> = others.map(|(key, seen)| (seen.sum(), key)).collect();
         others.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         others.truncate(others.len().div_ceil(8));
         others.iter().for_each(|(_, key)| _ = self.rows.remove(key));

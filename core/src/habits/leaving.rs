@@ -1,8 +1,8 @@
 //! Forecasts a later place from the length and the destination of stays: a stay of some age in a place ends at the rate of exits over time spent. Each
-//! level has the next wider one as its prior: place and part of the day, then place, then all rooms, then the shipped stay. After a stay the person goes
-//! where earlier exits led, and a new stay begins there.
+//! level has the next wider one as its prior: place and part of the day, then place, then the shipped stay. After a stay the person goes where earlier
+//! exits led, and a new stay begins there.
 
-use super::context::Fact::{Here, Hours3, Nothing, Spent};
+use super::context::Fact::{Here, Hours3, Spent};
 use super::context::{CLASSES, Context, Level, NONE, class_s, level, time_class};
 use super::names::ELSEWHERE;
 use super::view::{View, normalise};
@@ -11,8 +11,7 @@ use super::view::{View, normalise};
 pub(crate) const EXITS: u16 = 0;
 pub(crate) const MINUTES: u16 = 1;
 /// Contexts of exits and time spent.
-pub(crate) static STAY: [Level; 3] = [
-    level(19, "stay", &[Nothing, Spent], [0.0, 0.0]),
+pub(crate) static STAY: [Level; 2] = [
     level(20, "stay-by-place", &[Here, Spent], [0.0, 0.0]),
     level(21, "stay-by-hour", &[Here, Spent, Hours3], [0.0, 0.0]),
 ];
@@ -33,6 +32,8 @@ const RATE_STRENGTH: f64 = 2.0;
 
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Leaving {
+    /// The time ahead of the probabilities, in seconds.
+    at_s: f64,
     /// Per place and age of a stay, the rate of leaving and the probability of being there.
     rates: Vec<[f64; CLASSES]>,
     mass: Vec<[f64; CLASSES]>,
@@ -47,43 +48,17 @@ fn gone(x: f64) -> f64 {
 }
 
 impl Leaving {
-    /// Writes the probabilities per horizon (ascending) and place, row by row, into `out`. The stay has lasted for `spent_s`. Without a place the person
-    /// came back then, into an unknown room.
-    pub(crate) fn forecast(
+    /// Begins a forecast at most `farthest_s` ahead. The stay has lasted for `spent_s`. Without a place the person came back then, into an unknown room.
+    pub(crate) fn begin(
         &mut self,
         view: &View<'_>,
-        (here, spent_s): (Option<usize>, f64),
-        (now_s, horizons_s): (f64, &[f64]),
-        out: &mut Vec<f64>,
+        here: Option<usize>,
+        spent_s: f64,
+        (now_s, farthest_s): (f64, f64),
     ) {
-        let (places, elsewhere) = (view.home.places(), view.home.rooms());
         // After a return the forecast starts at the return.
-        let mut at_s = if here.is_some() { 0.0 } else { -spent_s.clamp(0.0, FARTHEST_S) };
-        let farthest_s = horizons_s.last().map_or(0.0, |horizon_s| horizon_s.min(FARTHEST_S));
-        let [oldest, newest] = [spent_s, farthest_s - at_s].map(|time_s| usize::from(time_class(time_s)));
-        self.learned(view, now_s, |place, age| age <= newest || Some(place) == here && age >= oldest);
-        self.mass.clear();
-        self.mass.resize(places, [0.0; CLASSES]);
-        match here {
-            Some(here) => self.mass[here][oldest] = 1.0,
-            None => self.mass.iter_mut().zip(&self.leads[elsewhere * places..]).for_each(|(mass, led)| mass[0] = *led),
-        }
-        self.step_until(&mut at_s, 0.0);
-        if here.is_none() {
-            // The person has not left again until now.
-            self.mass[elsewhere] = [0.0; CLASSES];
-        }
-        out.clear();
-        for horizon_s in horizons_s {
-            self.step_until(&mut at_s, horizon_s.min(FARTHEST_S));
-            out.extend(self.mass.iter().map(|mass| mass.iter().sum::<f64>()));
-            let begin = out.len() - places;
-            normalise(&mut out[begin..]);
-        }
-    }
-
-    /// Computes the destinations of each place, and the rates of leaving it at the ages that a stay can have.
-    fn learned(&mut self, view: &View<'_>, now_s: f64, is_possible: impl Fn(usize, usize) -> bool) {
+        self.at_s = if here.is_some() { 0.0 } else { -spent_s.clamp(0.0, FARTHEST_S) };
+        let [oldest, newest] = [spent_s, farthest_s.min(FARTHEST_S) - self.at_s].map(|s| usize::from(time_class(s)));
         let places = view.home.places();
         self.rates.clear();
         self.rates.resize(places, [0.0; CLASSES]);
@@ -96,47 +71,63 @@ impl Leaving {
             let index = |number| view.home.places.index(number).filter(|other| *other != place);
             EXIT.iter().for_each(|level| _ = view.smooth(level, &Context::new(number, 0, now_s), index, leads));
             let scale_s = if number == ELSEWHERE { SHIPPED_AWAY_S } else { SHIPPED_STAY_S };
-            for (age, rate) in rates.iter_mut().enumerate().filter(|(age, _)| is_possible(place, *age)) {
+            // At the ages that a stay can have.
+            let is_possible = |age| age <= newest || Some(place) == here && age >= oldest;
+            for (age, rate) in rates.iter_mut().enumerate().filter(|(age, _)| is_possible(*age)) {
                 let [begin_s, end_s] = class_s(age);
                 *rate = 2.0 / (scale_s + 0.5 * (begin_s + end_s));
                 let context = Context::new(number, age as u16, now_s);
-                for (seen, _) in stay_levels(number).iter().flat_map(|level| view.seen(level, &context)) {
+                for (seen, _) in STAY.iter().flat_map(|level| view.seen(level, &context)) {
                     let (exits, spent_s) = (seen.count(EXITS), 60.0 * seen.count(MINUTES));
                     *rate = (exits + RATE_STRENGTH) / (spent_s + RATE_STRENGTH / *rate);
                 }
             }
         }
+        self.mass.clear();
+        self.mass.resize(places, [0.0; CLASSES]);
+        if let Some(here) = here {
+            self.mass[here][oldest] = 1.0;
+            return;
+        }
+        let elsewhere = view.home.rooms();
+        self.mass.iter_mut().zip(&self.leads[elsewhere * places..]).for_each(|(mass, led)| mass[0] = *led);
+        self.step_until(0.0);
+        // The person has not left again until now.
+        self.mass[elsewhere] = [0.0; CLASSES];
+    }
+
+    /// Writes the probabilities of places so many seconds ahead; later calls go further ahead.
+    pub(crate) fn at(&mut self, horizon_s: f64, out: &mut [f64]) {
+        self.step_until(horizon_s.min(FARTHEST_S));
+        out.iter_mut().zip(&self.mass).for_each(|(p, mass)| *p = mass.iter().sum());
+        normalise(out);
     }
 
     /// Moves probability by leaving, arriving and ageing.
-    fn step_until(&mut self, at_s: &mut f64, until_s: f64) {
-        let places = self.mass.len();
-        while *at_s < until_s {
-            let step_s = (STEP_SHARE * *at_s).clamp(STEPS_S[0], STEPS_S[1]).min(until_s - *at_s);
+    fn step_until(&mut self, until_s: f64) {
+        while self.at_s < until_s {
+            let step_s = (STEP_SHARE * self.at_s).clamp(STEPS_S[0], STEPS_S[1]).min(until_s - self.at_s);
+            let ageing: [f64; CLASSES] = std::array::from_fn(|age| {
+                let [begin_s, end_s] = class_s(age);
+                if age + 1 < CLASSES { gone(step_s / (end_s - begin_s)) } else { 0.0 }
+            });
             self.left.clear();
             for (mass, rates) in self.mass.iter_mut().zip(&self.rates) {
                 let (mut older, mut left) = (0.0, 0.0);
-                for (age, (mass, rate)) in mass.iter_mut().zip(rates).enumerate() {
+                for ((mass, rate), ages) in mass.iter_mut().zip(rates).zip(ageing) {
                     let leaves = *mass * gone(step_s * rate);
-                    let [begin_s, end_s] = class_s(age);
-                    let grows =
-                        if age + 1 < CLASSES { (*mass - leaves) * gone(step_s / (end_s - begin_s)) } else { 0.0 };
+                    let grows = (*mass - leaves) * ages;
                     *mass += older - leaves - grows;
                     (older, left) = (grows, left + leaves);
                 }
                 self.left.push(left);
             }
-            for (left, leads) in self.left.iter().zip(self.leads.chunks_exact(places)) {
+            for (left, leads) in self.left.iter().zip(self.leads.chunks_exact(self.rates.len())) {
                 self.mass.iter_mut().zip(leads).for_each(|(mass, lead)| mass[0] += left * lead);
             }
-            *at_s += step_s;
+            self.at_s += step_s;
         }
     }
-}
-
-/// The contexts of a stay. Time out of the house does not count for the length of stays in rooms.
-pub(crate) fn stay_levels(place: u16) -> &'static [Level] {
-    &STAY[usize::from(place == ELSEWHERE)..]
 }
 
 #[cfg(test)]

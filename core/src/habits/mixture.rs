@@ -11,10 +11,13 @@
 //! and the loss of any sequence of experts with `m` changes by at most one more `ln(1 / (a v))` per change. If outcomes come so often that many are
 //! alike, probabilities are raised to a power `r` below one. Both bounds then grow by the factor `1 / r`.
 
+use super::view::normalise;
+
 /// The weights of some experts.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct FixedShare {
-    weights: Vec<f64>,
+    /// The weights sum to one.
+    pub(crate) weights: Vec<f64>,
     prior: Vec<f64>,
 }
 
@@ -23,25 +26,11 @@ impl FixedShare {
     /// to the prior.
     pub(crate) fn new(first: f64, prior: impl Iterator<Item = f64>) -> Self {
         let mut prior: Vec<f64> = prior.collect();
-        let total: f64 = prior.iter().sum();
-        prior.iter_mut().for_each(|p| *p /= total);
+        normalise(&mut prior);
         let rest: f64 = prior.iter().skip(1).sum();
         let share = |(expert, prior)| if expert == 0 { first } else { prior * ((1.0 - first) / rest) };
         let weights = if rest > 0.0 { prior.iter().enumerate().map(share).collect() } else { prior.clone() };
         Self { weights, prior }
-    }
-
-    /// The weights of the experts; they sum to one.
-    pub(crate) fn weights(&self) -> &[f64] {
-        &self.weights
-    }
-
-    /// Restores weights, if they are possible.
-    pub(crate) fn restore(&mut self, weights: &[f64]) {
-        let total: f64 = weights.iter().sum();
-        if weights.iter().all(|weight| *weight >= 0.0) && (total - 1.0).abs() < 1e-6 {
-            self.weights.copy_from_slice(weights);
-        }
     }
 
     /// Learns from an outcome to which each expert gave a probability; `rate` is above 0 and at most 1.
@@ -73,7 +62,7 @@ pub(crate) mod tests {
     }
 
     fn mix(mixture: &FixedShare, p: &[f64]) -> f64 {
-        mixture.weights().iter().zip(p).map(|(weight, p)| weight * p).sum()
+        mixture.weights.iter().zip(p).map(|(weight, p)| weight * p).sum()
     }
 
     proptest! {
@@ -91,7 +80,7 @@ pub(crate) mod tests {
                 loss -= mix(&mixture, outcome).ln();
                 losses.iter_mut().zip(outcome).for_each(|(sum, p)| *sum -= p.ln());
                 mixture.learn(|expert| outcome[expert], share, rate);
-                prop_assert!((mixture.weights().iter().sum::<f64>() - 1.0).abs() < 1e-9);
+                prop_assert!((mixture.weights.iter().sum::<f64>() - 1.0).abs() < 1e-9);
             }
             for (own, prior) in losses.into_iter().zip(prior) {
                 prop_assert!(loss <= own + bound_nats(prior, share, outcomes.len()) / rate + 1e-6);

@@ -25,13 +25,14 @@ mod view;
 
 use context::{Context, LAST, NONE, Number, SLOT_MASK, key, minute, split, time_class};
 use counts::Counts;
-use names::{ELSEWHERE_NAME, Home, Names};
+use names::{ELSEWHERE, ELSEWHERE_NAME, Home, Names};
 use next::Next;
+use parts::names_of;
 use stays::Stays;
-use view::{Learner, OTHERS_MAX, View};
+use view::{OTHERS_MAX, View};
 
 pub use context::{PART_HOURS, PARTS, Without};
-pub use sets::{AdaptiveSets, SetOptions};
+pub use sets::AdaptiveSets;
 pub use stored::{BYTES_MAX, Stored, StoredError, StoredName, StoredPerson, StoredRow};
 
 /// Most persons with habits. A further person replaces the person with the fewest observations.
@@ -50,8 +51,8 @@ pub struct HabitsOptions {
     pub counts_max: usize,
     /// Most names of things. A further thing replaces the one with the fewest counts.
     pub names_max: usize,
-    /// Options of room sets.
-    pub sets: SetOptions,
+    /// Share of moments in which a room set must hold the person, 0 to 1.
+    pub coverage: f64,
     /// Parts of the forecasts that are left out, to measure their effect.
     pub without: Without,
 }
@@ -66,7 +67,7 @@ impl Default for HabitsOptions {
             contexts_max: 7 << 13,
             counts_max: 1 << 17,
             names_max: 2_048,
-            sets: SetOptions::default(),
+            coverage: 0.9,
             without: Without::default(),
         }
     }
@@ -136,7 +137,7 @@ pub struct Learned {
     pub contexts: usize,
     /// Counts.
     pub counts: usize,
-    /// Bytes of memory.
+    /// Bytes of contexts and counts in memory.
     pub bytes: usize,
 }
 
@@ -151,8 +152,6 @@ struct Person {
     /// The last different things, the latest first, and the number of repeated mentions of the latest.
     last: [u16; LAST],
     times: u8,
-    /// Repeated mentions, and all mentions.
-    repeated: [f64; 2],
     /// The context of the latest forecast, or of the last observation.
     known: Option<Context>,
     things: Next,
@@ -170,11 +169,10 @@ impl Person {
             pace_s: f64::INFINITY,
             last: [NONE; LAST],
             times: 0,
-            repeated: [1.0, 2.0],
             known: None,
             things: Next::new([&next::AGAIN, &next::THINGS], next::FIRST[0], options.without),
             rooms: Next::new([&next::ROOMS, &next::ROOMS], next::FIRST[1], options.without),
-            stays: Stays::new(options.sets, options.without),
+            stays: Stays::new(options.coverage, options.without),
         }
     }
 
@@ -198,12 +196,6 @@ impl Person {
             self.last.rotate_right(1);
             self.last[0] = number;
         }
-    }
-
-    /// The latest forecasts teach no more.
-    fn forget_forecast(&mut self) {
-        self.things.forget_forecast();
-        self.rooms.forget_forecast();
     }
 
     /// A name lost its number.
@@ -251,11 +243,12 @@ impl Habits {
     /// Binds a map: its labels and its rooms, each name once, and row by row per label and room the share of the label's items in that room.
     pub fn bind(&mut self, labels: Vec<String>, mut rooms: Vec<String>, shares: Vec<f64>) {
         rooms.push(ELSEWHERE_NAME.to_owned());
-        let are_same_rooms = self.home.places.bound() == rooms;
+        let are_same_rooms = self.home.places.bound == rooms;
         self.home.things.bind(labels);
         self.home.places.bind(rooms);
         self.home.shares = shares;
-        self.persons.iter_mut().for_each(Person::forget_forecast);
+        let nexts = self.persons.iter_mut().flat_map(|person| [&mut person.things, &mut person.rooms]);
+        nexts.for_each(Next::forget_forecast);
         if !are_same_rooms {
             self.drop_waiting();
         }
@@ -314,10 +307,9 @@ impl Habits {
             others[OTHERS_MAX] = (other.known_of(), Some(other.slot));
             others.sort_by(|a, b| b.0.total_cmp(&a.0));
         }
-        let others = std::array::from_fn(|rank| others[rank].1);
-        let Self { persons, counts, home, options, .. } = self;
-        let person = &mut persons[at];
-        (View { counts, home, slot: person.slot, others, now_min: minute(now_s), without: options.without }, person)
+        let Self { persons, counts, home, options: HabitsOptions { without, learn: learns, .. } } = self;
+        let (person, now_min) = (&mut persons[at], minute(now_s));
+        (View { counts, home, slot: person.slot, others, now_min, without: *without, learns: *learns }, person)
     }
 
     /// The number of a name of the map. While learning, a new name gets one. At the limit it gets the number of the name with the fewest counts, and
@@ -329,13 +321,8 @@ impl Habits {
         if !options.learn {
             return names.number(index);
         }
-        let known = names.names().len();
+        let known = names.names.len();
         names.learn(index, || {
-            let kinds = parts::kinds();
-            let names_of = |key, symbol| {
-                let (number, _, [first, second, third]) = split(key);
-                kinds[usize::from(number)].unwrap_or_default().into_iter().zip([first, second, third, symbol])
-            };
             let mut times = vec![0.0; known];
             for (key, seen) in counts.all(now_min) {
                 let counted =
@@ -359,47 +346,35 @@ impl Habits {
         self.number_of(Number::Place, index, minute(at_s))
     }
 
-    /// A person, and the means to count for them.
-    fn learner(&mut self, number: PersonId) -> (Learner<'_>, &mut Person, &Home) {
-        let at = self.person(number);
-        let Self { persons, counts, home, options, .. } = self;
-        let person = &mut persons[at];
-        (Learner { counts, slot: person.slot, learns: options.learn }, person, home)
-    }
-
     /// Learns from a turn: the last forecasts are compared with it, it is counted, and it becomes the context of the next forecast.
     pub fn observe(&mut self, turn: &Turn) {
         let Turn { label, room, at_s, .. } = *turn;
         let number = label.and_then(|label| self.number_of(Number::Thing, label, minute(at_s)));
         let place = room.and_then(|room| self.place_number(Place::Room(room), at_s));
-        let (mut learner, person, home) = self.learner(turn.person);
+        let (mut view, person) = self.view(turn.person, at_s);
         let context = person.known.unwrap_or_else(|| person.context(at_s));
-        let Person { things, rooms, repeated, known, .. } = &mut *person;
-        if learner.learns {
+        let Person { things, rooms, known, observations, .. } = &mut *person;
+        if view.learns {
             if let Some((room, place)) = room.zip(place) {
                 rooms.learn_weights(room);
                 if known.is_some() {
-                    rooms.other.count(&mut learner, &context, place, at_s);
+                    rooms.other.count(&mut view, &context, place, at_s);
                 }
                 if let Some(thing) = number {
-                    let key = key(next::OF_THING.part.number, learner.slot, [thing, NONE, NONE]);
-                    learner.counts.add(key, place, 1.0, minute(at_s));
+                    view.count(&next::OF_THING, &context.of_thing(thing), (place, 1.0), at_s);
                 }
             }
             if let Some((label, number)) = label.zip(number) {
-                if let Some(is_same) = things.learn_weights(label) {
-                    *repeated = [repeated[0] + f64::from(u8::from(is_same)), repeated[1] + 1.0];
-                }
-                things.count_thing(&mut learner, &context, number, at_s);
+                things.learn_weights(label);
+                things.count_thing(&mut view, &context, number, at_s);
             }
-            person.observations += 1.0;
+            *observations += 1.0;
         }
         if number.is_some() || place.is_some() {
-            person.forget_forecast();
+            [things, rooms].into_iter().for_each(Next::forget_forecast);
         }
         if let Some(place) = place {
-            person.stays.learn_due(&mut learner, home, at_s);
-            person.stays.be(&mut learner, place, at_s);
+            person.stays.be(&mut view, place, at_s);
         }
         person.turn(number);
         person.pace_s = at_s - person.last_s;
@@ -410,25 +385,27 @@ impl Habits {
     /// Puts a person in a place without a turn: a presence event or a sensor reported it.
     pub fn be(&mut self, person: PersonId, place: Place, at_s: f64) {
         if let Some(number) = self.place_number(place, at_s) {
-            self.moves(person, at_s, |stays, learner| stays.be(learner, number, at_s));
+            self.go(person, number, at_s);
         }
     }
 
     /// The person's place is unknown from now on.
     pub fn lose(&mut self, person: PersonId, at_s: f64) {
-        self.moves(person, at_s, |stays, learner| stays.be(learner, NONE, at_s));
+        self.go(person, NONE, at_s);
     }
 
     /// Puts a person, absent before, into an unknown room of the house. The next forecasts use the earlier returns.
     pub fn come_back(&mut self, person: PersonId, at_s: f64) {
-        self.moves(person, at_s, |stays, learner| stays.come_back(learner, at_s));
+        let at = self.person(person);
+        if self.persons[at].stays.place == ELSEWHERE {
+            self.go(person, NONE, at_s);
+            self.persons[at].stays.is_back = true;
+        }
     }
 
-    /// Due forecasts learn first: their outcome is the place before the move.
-    fn moves(&mut self, person: PersonId, at_s: f64, go: impl FnOnce(&mut Stays, &mut Learner<'_>)) {
-        let (mut learner, Person { stays, .. }, home) = self.learner(person);
-        stays.learn_due(&mut learner, home, at_s);
-        go(stays, &mut learner);
+    fn go(&mut self, person: PersonId, place: u16, at_s: f64) {
+        let (mut view, person) = self.view(person, at_s);
+        person.stays.be(&mut view, place, at_s);
     }
 
     /// Whether the person came back and has no known room since.
@@ -446,10 +423,12 @@ impl Habits {
 
     /// Skips unobserved time until `now_s`: it is not counted, and due forecasts do not learn from it.
     pub fn pass(&mut self, now_s: f64) {
-        let Self { persons, counts, home, .. } = self;
-        for Person { slot, stays, .. } in persons {
-            stays.learn_due(&mut Learner { counts, slot: *slot, learns: false }, home, now_s);
+        let learn = std::mem::replace(&mut self.options.learn, false);
+        for at in 0..self.persons.len() {
+            let (mut view, person) = self.view(self.persons[at].number, now_s);
+            person.stays.learn_due(&mut view, now_s);
         }
+        self.options.learn = learn;
     }
 
     /// Moves times of stays after a clock step of `by_s` seconds, so that no stay gets longer or shorter.
@@ -474,7 +453,7 @@ impl Habits {
     pub fn mix(&mut self, person: PersonId, at_s: f64, model: &[f64]) -> &[f64] {
         let (view, person) = self.view(person, at_s);
         let context = *person.known.insert(person.context(at_s));
-        person.things.things(&view, &context, person.repeated, model);
+        person.things.things(&view, &context, model);
         &person.things.mixed
     }
 
@@ -501,8 +480,8 @@ impl Habits {
     /// Counts time spent and learns from due forecasts. Once a minute it makes one more forecast to learn from later. `shipped` writes the forecast
     /// without habits, so many seconds ahead, per place; elsewhere comes last.
     pub fn tick(&mut self, person: PersonId, now_s: f64, shipped: &mut dyn FnMut(f64, &mut [f64])) {
-        self.moves(person, now_s, |_, _| {});
-        let (view, Person { stays, .. }) = self.view(person, now_s);
+        let (mut view, Person { stays, .. }) = self.view(person, now_s);
+        stays.learn_due(&mut view, now_s);
         stays.sample(&view, now_s, shipped);
     }
 
@@ -522,8 +501,8 @@ impl Habits {
         out.extend_from_slice(&shipped[..cells.min(shipped.len())]);
         out.resize(cells, 0.0);
         shares.clear();
-        stays.forecast(&view, (now_s, horizons_s), out, |[shipped, leaving, by_place, later], _| {
-            shares.push(WhenShares { shipped, leaving, later: by_place + later });
+        stays.forecast(&view, (now_s, horizons_s), out, |[shipped, leaving, later], _| {
+            shares.push(WhenShares { shipped, leaving, later });
         });
     }
 
@@ -561,14 +540,13 @@ impl Habits {
     #[must_use]
     pub fn learned(&self) -> Learned {
         let (contexts, counts) = self.counts.len();
-        let Home { things, places, .. } = &self.home;
         Learned {
             observations: self.persons.iter().map(|person| person.observations).sum(),
             persons: self.persons.len(),
-            names: things.names().len(),
+            names: self.home.things.names.len(),
             contexts,
             counts,
-            bytes: self.counts.bytes() + things.bytes() + places.bytes(),
+            bytes: self.counts.bytes(),
         }
     }
 

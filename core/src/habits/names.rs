@@ -11,12 +11,13 @@ pub(crate) const ELSEWHERE: u16 = 0;
 /// Numbers of names, 0 to `limit - 1`, and the names of the bound map. A further name takes the number of another one.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Names {
-    names: Vec<String>,
+    /// By number.
+    pub(crate) names: Vec<String>,
     /// By number, the index in the bound map.
     indices: Vec<Option<usize>>,
-    numbers: HashMap<String, u16>,
     limit: usize,
-    bound: Vec<String>,
+    /// By index in the bound map, the name and its number.
+    pub(crate) bound: Vec<String>,
     number_of: Vec<Option<u16>>,
 }
 
@@ -27,16 +28,13 @@ impl Names {
 
     /// Binds the names of a map, each once. Existing numbers stay.
     pub(crate) fn bind(&mut self, bound: Vec<String>) {
+        let numbers: HashMap<_, _> = self.names.iter().zip(0..).collect();
+        self.number_of = bound.iter().map(|name| numbers.get(name).copied()).collect();
         self.indices.fill(None);
-        self.number_of = bound.iter().map(|name| self.numbers.get(name).copied()).collect();
         for (index, number) in self.number_of.iter().enumerate() {
             number.iter().for_each(|number| self.indices[usize::from(*number)] = Some(index));
         }
         self.bound = bound;
-    }
-
-    pub(crate) fn bound(&self) -> &[String] {
-        &self.bound
     }
 
     /// The map's index of the name with this number.
@@ -60,7 +58,7 @@ impl Names {
 
     /// The number of a new name, at the limit a `freed` one; `None` for an empty, long or known name.
     pub(crate) fn add(&mut self, name: String, freed: impl FnOnce() -> Option<u16>) -> Option<u16> {
-        if name.is_empty() || name.len() > NAME_BYTES_MAX || self.numbers.contains_key(&name) {
+        if name.is_empty() || name.len() > NAME_BYTES_MAX || self.names.contains(&name) {
             return None;
         }
         let number = if self.names.len() < self.limit { self.names.len() as u16 } else { freed()? };
@@ -70,18 +68,8 @@ impl Names {
         if let Some(index) = self.indices[at].take() {
             self.number_of[index] = None;
         }
-        self.numbers.remove(&std::mem::replace(&mut self.names[at], name.clone()));
-        self.numbers.insert(name, number);
+        self.names[at] = name;
         Some(number)
-    }
-
-    /// The names by number.
-    pub(crate) fn names(&self) -> &[String] {
-        &self.names
-    }
-
-    pub(crate) fn bytes(&self) -> usize {
-        self.names.iter().map(|name| 2 * name.len() + 64).sum()
     }
 }
 
@@ -101,18 +89,7 @@ impl Home {
 
     /// Number of rooms, plus elsewhere, the last place.
     pub(crate) fn places(&self) -> usize {
-        self.places.bound().len()
-    }
-
-    /// The index of the room with this number, if the map has it.
-    pub(crate) fn room(&self, number: u16) -> Option<usize> {
-        self.places.index(number).filter(|place| *place < self.rooms())
-    }
-
-    /// Per room, the share of a thing's items in it, by the map.
-    pub(crate) fn shares_of(&self, thing: usize) -> &[f64] {
-        let rooms = self.rooms();
-        self.shares.get(thing * rooms..(thing + 1) * rooms).unwrap_or_default()
+        self.places.bound.len()
     }
 }
 
@@ -125,8 +102,11 @@ mod tests {
         let mut names = Names::new(2);
         names.bind(["", "mug", "sofa", "bed"].map(str::to_owned).to_vec());
         assert_eq!([0, 1, 2, 1, 3].map(|index| names.learn(index, || None)), [None, Some(0), Some(1), Some(0), None]);
-        assert_eq!((names.number(3), names.index(1), names.names().len()), (None, Some(2), 2));
-        assert_eq!((names.learn(3, || Some(0)), names.names()), (Some(0), &["bed".to_owned(), "sofa".to_owned()][..]));
+        assert_eq!((names.number(3), names.index(1), names.names.len()), (None, Some(2), 2));
+        assert_eq!(
+            (names.learn(3, || Some(0)), &names.names[..]),
+            (Some(0), &["bed".to_owned(), "sofa".to_owned()][..])
+        );
         assert_eq!((names.number(1), names.index(0)), (None, Some(3)));
         names.bind(["sofa", "mug"].map(str::to_owned).to_vec());
         assert_eq!((names.index(0), names.index(1), names.number(0), names.number(1)), (None, Some(0), Some(1), None));

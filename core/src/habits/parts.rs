@@ -1,6 +1,8 @@
 //! All parts of the forecasts: experts, and levels of counts.
 
-use super::context::{Level, Number, Part, Without};
+use std::sync::LazyLock;
+
+use super::context::{Level, Number, Part, Without, split};
 use super::pool::Plan;
 use super::{leaving, next, stays};
 
@@ -23,20 +25,26 @@ fn levels() -> impl Iterator<Item = (&'static Level, Number)> {
 }
 
 /// By the number of a level, what its keys' numbers and its counted symbols name; `None` for removed levels.
-pub(crate) fn kinds() -> [Option<[Number; 4]>; 256] {
+pub(crate) static KINDS: LazyLock<[Option<[Number; 4]>; 256]> = LazyLock::new(|| {
     let mut kinds = [None; 256];
     for (level, counted) in levels() {
         let [first, second, third] = level.names();
         kinds[usize::from(level.part.number)] = Some([first, second, third, counted]);
     }
     kinds
+});
+
+/// The numbers of a key, then a symbol counted in it, each with the kind of its name.
+pub(crate) fn names_of(key: u64, symbol: u16) -> impl DoubleEndedIterator<Item = (Number, u16)> {
+    let (level, _, [first, second, third]) = split(key);
+    KINDS[usize::from(level)].unwrap_or_default().into_iter().zip([first, second, third, symbol])
 }
 
 impl Without {
     fn parts() -> impl Iterator<Item = Part> {
         let experts = PLANS.into_iter().flat_map(|(plan, _)| plan.experts.iter().chain(&plan.product));
         let parts = experts.map(|expert| expert.part).chain(levels().map(|(level, _)| level.part));
-        parts.filter(|part| part.number > 0)
+        parts.filter(|part| !part.name.is_empty())
     }
 
     /// The names of all parts.

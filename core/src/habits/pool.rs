@@ -6,7 +6,7 @@
 
 use super::context::{Context, Level, Part, Without};
 use super::mixture::FixedShare;
-use super::view::{Learner, View, add};
+use super::view::{View, add, normalise};
 
 /// Greatest sum of observations: ten observations a second for a century make a third of it.
 pub(crate) const MOST: f64 = 1e11;
@@ -64,8 +64,6 @@ pub(crate) struct Plan {
     pub(crate) experts: &'static [Expert],
     /// The product of all experts, if there is one.
     pub(crate) product: Option<Expert>,
-    /// Share of even chances under the first contexts: it limits the cost of new outcomes when the forecast without habits is far off.
-    pub(crate) even: f64,
 }
 
 #[derive(Debug, Clone)]
@@ -74,31 +72,27 @@ pub(crate) struct Pool {
     pub(crate) mixture: FixedShare,
     /// Per factor of the product its power and the information about it.
     powers: Vec<[f64; 2]>,
-    /// Per factor, mean and variance of its logarithm under the latest product.
-    expected: Vec<[f64; 2]>,
     /// The latest forecasts and their product, row by row.
     rows: Vec<f64>,
     /// Per row, the share of the first row in it.
     pub(crate) kept: Vec<f64>,
     /// Own observations in the first contexts of expert 1.
     pub(crate) observations: [f64; 4],
-    logs: Vec<f32>,
-    width: usize,
-    excluded: Option<usize>,
+    pub(crate) width: usize,
     /// The mixture of the rows.
     pub(crate) mixed: Vec<f64>,
 }
 
 /// The natural logarithm, to four digits: a forecast of a home computes a thousand of them.
-fn ln(x: f32) -> f32 {
-    let bits = x.to_bits();
+fn ln(p: f64) -> f64 {
+    let bits = (p as f32).max(FLOOR).to_bits();
     let exponent = (bits >> 23) as f32 - 127.0;
     let mantissa = f32::from_bits(bits & 0x007f_ffff | 0x3f80_0000);
     // ln(m) = 2 artanh((m - 1) / (m + 1)), with the mantissa around one.
     let (mantissa, exponent) = if mantissa > 1.414 { (0.5 * mantissa, exponent + 1.0) } else { (mantissa, exponent) };
     let t = (mantissa - 1.0) / (mantissa + 1.0);
     let square = t * t;
-    exponent * std::f32::consts::LN_2 + 2.0 * t * (1.0 + square * (1.0 / 3.0 + square * 0.2))
+    f64::from(exponent * std::f32::consts::LN_2 + 2.0 * t * (1.0 + square * (1.0 / 3.0 + square * 0.2)))
 }
 
 impl Pool {
@@ -114,22 +108,19 @@ impl Pool {
             plan,
             mixture: FixedShare::new(first, plan.experts.iter().chain(&plan.product).map(weight)),
             powers: factors.iter().map(power).collect(),
-            expected: vec![[0.0; 2]; factors.len()],
             rows: Vec::new(),
             kept: vec![0.0; plan.experts.len()],
             observations: [0.0; 4],
-            logs: Vec::new(),
             width: 0,
-            excluded: None,
             mixed: Vec::new(),
         }
     }
 
-    /// Begins forecasts of `width` outcomes; the rows must give nothing to the excluded one.
-    pub(crate) fn begin(&mut self, width: usize, excluded: Option<usize>) {
-        (self.width, self.excluded) = (width, excluded);
+    /// Begins forecasts of `width` outcomes. If one is impossible, all rows must give it nothing.
+    pub(crate) fn begin(&mut self, width: usize) {
+        self.width = width;
         self.rows.clear();
-        self.rows.resize(self.mixture.weights().len() * width, 0.0);
+        self.rows.resize(self.mixture.weights.len() * width, 0.0);
         self.kept.fill(0.0);
         self.kept[0] = 1.0;
     }
@@ -138,10 +129,6 @@ impl Pool {
     pub(crate) fn forget(&mut self) {
         self.width = 0;
         self.mixed.clear();
-    }
-
-    pub(crate) fn width(&self) -> usize {
-        self.width
     }
 
     pub(crate) fn row(&self, expert: usize) -> &[f64] {
@@ -169,93 +156,75 @@ impl Pool {
 
     /// Copies a row to the experts that begin with it.
     fn pass_on(&mut self, from: usize, depth: usize) {
-        let (width, even) = (self.width, if from == 0 { self.plan.even } else { 0.0 });
+        let width = self.width;
         for (to, expert) in self.plan.experts.iter().enumerate() {
             if expert.begin == Begin::After(from, depth) {
                 self.rows.copy_within(from * width..(from + 1) * width, to * width);
-                self.kept[to] = (1.0 - even) * self.kept[from];
-                self.row_mut(to).iter_mut().for_each(|p| *p = (1.0 - even) * *p + even / width as f64);
+                self.kept[to] = self.kept[from];
             }
         }
     }
 
-    /// Mixes the rows.
+    /// Multiplies the rows, if the plan has a product, and mixes all.
     pub(crate) fn forecast(&mut self) {
-        if !self.powers.is_empty() {
-            self.multiply();
+        let width = self.width.max(1);
+        if self.plan.product.is_some() {
+            let (rows, product) = self.rows.split_at_mut(self.powers.len() * self.width);
+            for (row, [power, _]) in rows.chunks_exact(width).zip(&self.powers) {
+                product.iter_mut().zip(row).for_each(|(sum, p)| *sum += power * ln(*p));
+            }
+            let impossible = product.iter_mut().zip(rows).filter(|(_, p)| **p <= 0.0);
+            impossible.for_each(|(sum, _)| *sum = f64::NEG_INFINITY);
+            let greatest = product.iter().copied().fold(f64::MIN, f64::max);
+            product.iter_mut().for_each(|sum| *sum = f64::from(((*sum - greatest) as f32).exp()));
+            normalise(product);
         }
         self.mixed.clear();
         self.mixed.resize(self.width, 0.0);
-        for (row, weight) in self.rows.chunks_exact(self.width.max(1)).zip(self.mixture.weights()) {
-            add(&mut self.mixed, row, *weight);
-        }
-    }
-
-    fn multiply(&mut self) {
-        let (width, factors) = (self.width, self.powers.len());
-        self.logs.clear();
-        self.logs.resize((factors + 1) * width, 0.0);
-        let (rows, product) = self.rows.split_at_mut(factors * width);
-        let (sums, logs) = self.logs.split_at_mut(width);
-        for (factor, [power, _]) in self.powers.iter().enumerate() {
-            let cells = factor * width..(factor + 1) * width;
-            for ((log, sum), p) in logs[cells.clone()].iter_mut().zip(sums.iter_mut()).zip(&rows[cells]) {
-                *log = ln((*p as f32).max(FLOOR));
-                *sum += *power as f32 * *log;
-            }
-        }
-        if let Some(sum) = self.excluded.and_then(|excluded| sums.get_mut(excluded)) {
-            *sum = f32::NEG_INFINITY;
-        }
-        let greatest = sums.iter().copied().fold(f32::NEG_INFINITY, f32::max).max(f32::MIN);
-        sums.iter_mut().for_each(|sum| *sum = (*sum - greatest).exp());
-        let total: f64 = sums.iter().copied().map(f64::from).sum();
-        let scale = if total > 0.0 { 1.0 / total } else { 0.0 };
-        product.iter_mut().zip(&*sums).for_each(|(p, sum)| *p = scale * f64::from(*sum));
-        for (expected, logs) in self.expected.iter_mut().zip(logs.chunks_exact(width.max(1))) {
-            let (mut mean, mut square) = (0.0, 0.0);
-            for (log, sum) in logs.iter().zip(&*sums) {
-                mean += sum * log;
-                square += sum * log * log;
-            }
-            let mean = scale * f64::from(mean);
-            *expected = [mean, scale * f64::from(square) - mean * mean];
-        }
+        let rows = self.rows.chunks_exact(width).zip(&self.mixture.weights);
+        rows.for_each(|(row, weight)| add(&mut self.mixed, row, *weight));
     }
 
     pub(crate) fn learn(&mut self, outcome: usize, share: f64) {
-        let Self { mixture, powers, expected, rows, width, .. } = self;
-        mixture.learn(|row| rows[row * *width + outcome], share, 1.0);
-        for (row, ([power, information], [expected, varies])) in powers.iter_mut().zip(expected).enumerate() {
-            let p = rows[row * *width + outcome];
-            let steep = (f64::from(ln((p as f32).max(FLOOR))) - *expected).clamp(-STEEPEST, STEEPEST);
-            *information = KEPT * *information + varies.max(0.0) + (1.0 - KEPT) * INFORMATION;
+        let width = self.width;
+        self.mixture.learn(|row| self.rows[row * width + outcome], share, 1.0);
+        let (rows, product) = self.rows.split_at(self.powers.len() * width);
+        for (row, [power, information]) in rows.chunks_exact(width).zip(&mut self.powers) {
+            // Of the logarithm under the product.
+            let (mut mean, mut square) = (0.0, 0.0);
+            for (log, p) in row.iter().map(|p| ln(*p)).zip(product) {
+                mean += p * log;
+                square += p * log * log;
+            }
+            let steep = (ln(row[outcome]) - mean).clamp(-STEEPEST, STEEPEST);
+            *information = KEPT * *information + (square - mean * mean).max(0.0) + (1.0 - KEPT) * INFORMATION;
             *power = (*power + steep / *information).clamp(*POWERS.start(), *POWERS.end());
         }
     }
 
     /// The learned numbers: weights, then powers.
     pub(crate) fn learned(&self) -> impl Iterator<Item = f64> {
-        self.mixture.weights().iter().chain(self.powers.as_flattened()).copied()
+        self.mixture.weights.iter().chain(self.powers.as_flattened()).copied()
     }
 
     /// Restores learned numbers, and returns those after them. Impossible numbers are learned again.
     pub(crate) fn restore<'a>(&mut self, learned: &'a [f64]) -> Option<&'a [f64]> {
-        let (weights, rest) = learned.split_at_checked(self.mixture.weights().len())?;
+        let (weights, rest) = learned.split_at_checked(self.mixture.weights.len())?;
         let (powers, rest) = rest.split_at_checked(2 * self.powers.len())?;
-        self.mixture.restore(weights);
         let powers = powers.as_chunks().0;
         let is_possible = |[power, known]: &[f64; 2]| POWERS.contains(power) && (0.0..=MOST).contains(known);
-        if powers.iter().all(is_possible) {
+        let is_sum = (weights.iter().sum::<f64>() - 1.0).abs() < 1e-6;
+        if is_sum && weights.iter().all(|weight| *weight >= 0.0) && powers.iter().all(is_possible) {
+            self.mixture.weights.copy_from_slice(weights);
             self.powers.copy_from_slice(powers);
         }
         Some(rest)
     }
 
     /// Counts an outcome in every context.
-    pub(crate) fn count(&self, learner: &mut Learner<'_>, context: &Context, symbol: u16, at_s: f64) {
+    pub(crate) fn count(&self, view: &mut View<'_>, context: &Context, symbol: u16, at_s: f64) {
         let levels = self.plan.experts.iter().flat_map(|expert| expert.levels);
-        levels.for_each(|level| learner.count(level, context, (symbol, 1.0), at_s));
+        levels.for_each(|level| view.count(level, context, (symbol, 1.0), at_s));
     }
 
     /// The share of each source in an outcome's probability. Each factor's share of the product is its power.
@@ -263,7 +232,7 @@ impl Pool {
         let power = |row: usize| self.powers.get(row).map_or(0.0, |[power, _]| power.max(0.0));
         let experts = self.plan.experts;
         let of_all = (0..experts.len()).map(power).sum::<f64>().max(f64::MIN_POSITIVE);
-        let weights = self.mixture.weights();
+        let weights = &self.mixture.weights;
         let of_product = weights.get(experts.len()).map_or(0.0, |weight| weight * self.row(experts.len())[outcome]);
         let mut shares = [0.0; 4];
         for (row, expert) in experts.iter().enumerate() {

@@ -4,23 +4,8 @@
 //! of true places. The quantile moves by a step after every hit and miss, so that the share of misses converges to the target even while the home
 //! changes. A night is one long hit, so the quantile covers about a week: with a memory of hours, sets would be small at night and whole homes by day.
 
-/// Options of sets.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SetOptions {
-    /// Share of moments in which the set must hold the person, 0 to 1.
-    pub coverage: f64,
-    /// Step of the quantile after each outcome.
-    pub step: f64,
-    /// Always take the likeliest place: the coverage is then at least the promised one.
-    pub never_empty: bool,
-}
-
-impl Default for SetOptions {
-    fn default() -> Self {
-        Self { coverage: 0.9, step: 0.0005, never_empty: true }
-    }
-}
-
+/// Step of the quantile after each outcome.
+const STEP: f64 = 0.0005;
 /// How far the share of misses may go below 0 and above 1.
 const SERIES: f64 = 0.5;
 /// Classes of probabilities of true places, of equal width in [`odds`].
@@ -44,7 +29,8 @@ fn odds(p: f64) -> f64 {
 /// The sets of one horizon.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AdaptiveSets {
-    options: SetOptions,
+    coverage: f64,
+    never_empty: bool,
     /// Share of misses of the quantile.
     miss: f64,
     /// Per class, the least likely first, decayed number of true places, and their sum.
@@ -54,17 +40,13 @@ pub struct AdaptiveSets {
 }
 
 impl AdaptiveSets {
-    /// Sets without outcomes: they take places of a tenth or more.
+    /// Sets without outcomes: they take places of a tenth or more. Sets that are `never_empty` always take the likeliest place: their coverage is at
+    /// least the promised one.
     #[must_use]
-    pub fn new(options: SetOptions) -> Self {
-        let coverage = options.coverage.clamp(0.0, 1.0);
-        let mut sets = Self {
-            options: SetOptions { coverage, ..options },
-            miss: 1.0 - coverage,
-            seen: vec![0.0; CLASSES],
-            total: 0.0,
-            threshold: 0.0,
-        };
+    pub fn new(coverage: f64, never_empty: bool) -> Self {
+        let coverage = coverage.clamp(0.0, 1.0);
+        let (miss, seen) = (1.0 - coverage, vec![0.0; CLASSES]);
+        let mut sets = Self { coverage, never_empty, miss, seen, total: 0.0, threshold: 0.0 };
         sets.threshold = sets.least();
         sets
     }
@@ -102,23 +84,22 @@ impl AdaptiveSets {
         set.clear();
         set.extend(probabilities.iter().map(|p| *p >= threshold));
         let likeliest = (0..probabilities.len()).max_by(|a, b| probabilities[*a].total_cmp(&probabilities[*b]));
-        if let Some(likeliest) = likeliest.filter(|_| self.options.never_empty) {
+        if let Some(likeliest) = likeliest.filter(|_| self.never_empty) {
             set[likeliest] = true;
         }
     }
 
     /// Whether there were too few outcomes for a learned threshold.
-    #[must_use]
-    pub fn knows_little(&self) -> bool {
+    pub(crate) fn knows_little(&self) -> bool {
         self.total < FEW
     }
 
     /// Writes the fewest places with the coverage in sum.
-    pub fn cover(&self, probabilities: &[f64], set: &mut Vec<bool>) {
+    pub(crate) fn cover(&self, probabilities: &[f64], set: &mut Vec<bool>) {
         set.clear();
         set.resize(probabilities.len(), false);
         let mut held = 0.0;
-        while held < self.options.coverage - ROUNDING || self.options.never_empty && held <= 0.0 {
+        while held < self.coverage - ROUNDING || self.never_empty && held <= 0.0 {
             let open = (0..probabilities.len()).rev().filter(|place| !set[*place]);
             let Some(next) = open.max_by(|a, b| probabilities[*a].total_cmp(&probabilities[*b])) else { return };
             set[next] = true;
@@ -133,8 +114,7 @@ impl AdaptiveSets {
         let class = (odds(p) / (2.0 * odds(1.0)) + 0.5) * CLASSES as f64;
         self.seen[(class as usize).min(CLASSES - 1)] += 1.0;
         self.total = self.total * kept + 1.0;
-        let asked = 1.0 - self.options.coverage;
-        self.miss += self.options.step * (asked - f64::from(u8::from(p < threshold)));
+        self.miss += STEP * (1.0 - self.coverage - f64::from(u8::from(p < threshold)));
         // Beyond 0 and 1 sets hold all places or no place, until a long series of misses or hits is balanced.
         self.miss = self.miss.clamp(-SERIES, 1.0 + SERIES);
         self.threshold = self.least();
@@ -167,7 +147,7 @@ mod tests {
     /// Overconfident forecasts in a home that changes half-way.
     fn coverage(never_empty: bool, seed: u64, late: usize) -> (f64, f64) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut sets = AdaptiveSets::new(SetOptions { never_empty, ..SetOptions::default() });
+        let mut sets = AdaptiveSets::new(0.9, never_empty);
         let (mut held, mut size, mut set) = (0.0, 0.0, Vec::new());
         let mut waiting = std::collections::VecDeque::new();
         // Two weeks of minutes.
@@ -210,7 +190,7 @@ mod tests {
             let total = raw.iter().sum::<f64>().max(f64::MIN_POSITIVE);
             let p: Vec<f64> = raw.iter().map(|p| p / total).collect();
             let mut set = vec![true; 3];
-            AdaptiveSets::new(SetOptions { coverage, ..SetOptions::default() }).cover(&p, &mut set);
+            AdaptiveSets::new(coverage, true).cover(&p, &mut set);
             prop_assert_eq!(set.len(), p.len());
             let held = |set: &[bool]| p.iter().zip(set).filter(|(_, held)| **held).map(|(p, _)| p).sum::<f64>();
             prop_assert!(held(&set) >= coverage - 1e-6 || !set.contains(&false));
@@ -228,7 +208,7 @@ mod tests {
         ) {
             let total: f64 = raw.iter().sum();
             let p: Vec<f64> = raw.iter().map(|p| p / total).collect();
-            let mut sets = AdaptiveSets::new(SetOptions::default());
+            let mut sets = AdaptiveSets::new(0.9, true);
             for truth in truths.into_iter().filter(|truth| *truth < p.len()) {
                 sets.learn(p[truth], sets.threshold());
             }
@@ -237,7 +217,7 @@ mod tests {
             let least_in = (0..p.len()).filter(|i| set[*i]).map(|i| p[i]).fold(f64::INFINITY, f64::min);
             prop_assert!((0..p.len()).all(|i| set[i] || p[i] <= least_in) && set.contains(&true));
             let (miss, seen) = sets.state();
-            let mut again = AdaptiveSets::new(SetOptions::default());
+            let mut again = AdaptiveSets::new(0.9, true);
             again.restore(miss, &seen);
             let mut other = Vec::new();
             again.set(&p, again.threshold(), &mut other);

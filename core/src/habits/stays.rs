@@ -5,8 +5,7 @@
 //! | --- | --- |
 //! | shipped | the forecast without habits ([`crate::forecast`]) |
 //! | leaving | the rate of leaving a place, and where exits led ([`super::leaving`]) |
-//! | by place | the places that much later in the past, by place, over the share of unchanged places |
-//! | later | as by place, by hour and by time spent as well |
+//! | later | the places that much later in the past, by place, hour and time spent, over the share of unchanged places |
 //!
 //! Outcomes are learned a horizon later. If a person came back and has no known room yet, only leaving has data.
 
@@ -14,37 +13,30 @@ use std::collections::VecDeque;
 
 use super::context::Fact::{Here, Horizon, HorizonSpent, Hours2, Hours3};
 use super::context::{CLASSES_S, Context, NONE, Without, level, time_class};
-use super::leaving::{EXIT, EXITS, Leaving, MINUTES, SHIPPED_AWAY_S, stay_levels};
-use super::names::{ELSEWHERE, Home};
+use super::leaving::{EXIT, EXITS, Leaving, MINUTES, SHIPPED_AWAY_S, STAY};
+use super::names::ELSEWHERE;
 use super::pool::{Begin, Plan, Pool, Source, expert};
-use super::sets::{AdaptiveSets, SetOptions};
-use super::view::{Learner, View, add, normalise};
+use super::sets::AdaptiveSets;
+use super::view::{View, add, normalise};
 
 /// Horizons at which the weights are learned, in seconds.
 pub(crate) const ANCHORS_S: [f64; 4] = [60.0, 300.0, 900.0, 3_600.0];
-const EXPERTS: usize = 4;
+const EXPERTS: usize = 3;
 const SHARE: f64 = 0.0005;
 const SHIPPED: usize = 0;
 const LEAVING: usize = 1;
-const BY_PLACE: usize = 2;
-const LATER: usize = 3;
+const LATER: usize = 2;
 pub(crate) static PLAN: Plan = Plan {
     experts: &[
         expert(0, "", [0.4, 0.0], Source::Model, Begin::Given),
-        expert(51, "leaving", [0.2, 0.0], Source::Habit, Begin::Given),
-        expert(52, "by-place", [0.2, 0.0], Source::Habit, Begin::Given).over(&[level(
-            24,
-            "later-by-place",
-            &[Here, Horizon],
-            [0.0, 8.0],
-        )]),
-        expert(53, "later", [0.2, 0.0], Source::Hour, Begin::After(BY_PLACE, 1)).over(&[
+        expert(51, "leaving", [0.3, 0.0], Source::Habit, Begin::Given),
+        expert(53, "later", [0.3, 0.0], Source::Hour, Begin::Given).over(&[
+            level(24, "later-by-place", &[Here, Horizon], [0.0, 8.0]),
             level(25, "later-by-hour", &[Here, Horizon, Hours3], [0.0, 40.0]),
             level(26, "later-by-dwell", &[Here, HorizonSpent, Hours2], [0.0, 40.0]),
         ]),
     ],
     product: None,
-    even: 0.0,
 };
 /// First weight of the forecast without habits.
 const FIRST: f64 = 0.4;
@@ -53,8 +45,6 @@ const FIRST: f64 = 0.4;
 const SAMPLE_S: f64 = 60.0;
 /// After a longer silence of the whole system the time is not counted as a stay.
 const GAP_S: f64 = 36.0 * 3_600.0;
-/// Samples at the start of a horizon; half of them stayed.
-const SAMPLED: f64 = 2.0;
 /// Least probability for learning weights: one surprise must not silence an expert that was right for long. The mixture's bound holds for forecasts
 /// with this least probability.
 const FLOOR: f64 = 1e-3;
@@ -70,17 +60,16 @@ struct Waiting {
     context: Context,
     /// Of the set.
     threshold: f64,
-    /// The probabilities of experts and mixture, row by row; empty if only the counts learn.
+    /// The probabilities of experts and mixture, row by row.
     rows: Vec<f64>,
 }
 
 /// One horizon.
 #[derive(Debug, Clone)]
 pub(crate) struct Anchor {
-    horizon_s: f64,
-    /// The weights, and the rows of by place and later in the latest forecast.
+    /// The weights, and the row of later in the latest forecast.
     pub(crate) pool: Pool,
-    /// Samples in which the person was in the same place, and all samples.
+    /// Samples in which the person was in the same place, and all samples: one of two at the start.
     pub(crate) stayed: [f64; 2],
     pub(crate) sets: AdaptiveSets,
     waiting: VecDeque<Waiting>,
@@ -98,18 +87,16 @@ pub(crate) struct Stays {
     sampled_s: f64,
     pub(crate) anchors: [Anchor; ANCHORS_S.len()],
     leaving: Leaving,
-    /// Of the latest forecast, per horizon the row of leaving, and the rows of the experts and the mixture for the last horizon.
-    ahead: Vec<f64>,
+    /// The rows of the experts and of the mixture for the last horizon of the latest forecast.
     rows: Vec<f64>,
 }
 
 impl Stays {
-    pub(crate) fn new(sets: SetOptions, without: Without) -> Self {
-        let anchor = |horizon_s| Anchor {
-            horizon_s,
+    pub(crate) fn new(coverage: f64, without: Without) -> Self {
+        let anchor = |_| Anchor {
             pool: Pool::new(&PLAN, FIRST, without),
-            stayed: [0.5 * SAMPLED, SAMPLED],
-            sets: AdaptiveSets::new(sets),
+            stayed: [1.0, 2.0],
+            sets: AdaptiveSets::new(coverage, true),
             waiting: VecDeque::new(),
         };
         Self {
@@ -121,14 +108,13 @@ impl Stays {
             sampled_s: f64::NEG_INFINITY,
             anchors: ANCHORS_S.map(anchor),
             leaving: Leaving::default(),
-            ahead: Vec::new(),
             rows: Vec::new(),
         }
     }
 
     /// Minutes for which the person's place was known, about.
     pub(crate) fn watched_min(&self) -> f64 {
-        self.anchors[0].stayed[1] - SAMPLED
+        self.anchors[0].stayed[1] - 2.0
     }
 
     /// Drops waiting forecasts, because their outcome will not be observed or has another number.
@@ -142,17 +128,15 @@ impl Stays {
     }
 
     pub(crate) fn shift_clock(&mut self, by_s: f64) {
-        let waiting = self.anchors.iter_mut().flat_map(|anchor| &mut anchor.waiting).map(|waiting| &mut waiting.at_s);
-        waiting
-            .chain([&mut self.entered_s, &mut self.updated_s, &mut self.sampled_s])
-            .for_each(|time_s| *time_s += by_s);
+        [&mut self.entered_s, &mut self.updated_s, &mut self.sampled_s].into_iter().for_each(|time_s| *time_s += by_s);
+        self.anchors.iter_mut().flat_map(|anchor| &mut anchor.waiting).for_each(|waiting| waiting.at_s += by_s);
     }
 
     /// Counts the time spent until now.
-    fn advance(&mut self, learner: &mut Learner<'_>, now_s: f64) {
+    fn advance(&mut self, view: &mut View<'_>, now_s: f64) {
         let mut at_s = self.updated_s;
         self.updated_s = at_s.max(now_s);
-        if self.place == NONE || !learner.learns || now_s - at_s > GAP_S {
+        if self.place == NONE || !view.learns || now_s - at_s > GAP_S {
             return;
         }
         while at_s < now_s {
@@ -161,65 +145,56 @@ impl Stays {
             let hour_s = ((at_s / 3_600.0).floor() + 1.0) * 3_600.0;
             // Steps last at least a millisecond: with rounding the loop might not end.
             let until_s = now_s.min(older_s).min(hour_s).max(at_s + 1e-3);
-            self.count(learner, at_s, (MINUTES, (until_s - at_s) / 60.0));
+            self.count(view, at_s, (MINUTES, (until_s - at_s) / 60.0));
             at_s = until_s;
         }
     }
 
-    fn count(&self, learner: &mut Learner<'_>, at_s: f64, symbol: (u16, f64)) {
-        let context = Context::new(self.place, time_class(at_s - self.entered_s), at_s);
-        stay_levels(self.place).iter().for_each(|level| learner.count(level, &context, symbol, at_s));
+    fn count(&self, view: &mut View<'_>, at_s: f64, symbol: (u16, f64)) {
+        let context = self.context(at_s);
+        STAY.iter().for_each(|level| view.count(level, &context, symbol, at_s));
     }
 
-    /// Puts the person in the place `number`, or in an unknown one (`NONE`).
-    pub(crate) fn be(&mut self, learner: &mut Learner<'_>, number: u16, now_s: f64) {
-        let now_s = now_s.max(self.updated_s);
-        self.advance(learner, now_s);
-        let was_back = std::mem::take(&mut self.is_back);
+    /// Puts the person in the place `number`, or in an unknown one (`NONE`). Due forecasts learn first: their outcome is the place before.
+    pub(crate) fn be(&mut self, view: &mut View<'_>, number: u16, now_s: f64) {
+        self.learn_due(view, now_s);
+        let (now_s, was_back) = (self.updated_s, std::mem::take(&mut self.is_back));
         if number == self.place {
             return;
         }
         if self.place != NONE {
-            self.count(learner, now_s, (EXITS, 1.0));
+            self.count(view, now_s, (EXITS, 1.0));
         }
         let has_arrived = was_back && number != ELSEWHERE && now_s - self.entered_s <= ARRIVAL_S;
         let from = if has_arrived { ELSEWHERE } else { self.place };
         if from != NONE && number != NONE {
             let context = Context::new(from, 0, now_s);
-            EXIT.iter().for_each(|level| learner.count(level, &context, (number, 1.0), now_s));
+            EXIT.iter().for_each(|level| view.count(level, &context, (number, 1.0), now_s));
         }
         self.before = std::mem::replace(&mut self.place, number);
         (self.entered_s, self.updated_s) = (now_s, now_s);
     }
 
-    /// A person who was out is in the house, in an unknown room.
-    pub(crate) fn come_back(&mut self, learner: &mut Learner<'_>, now_s: f64) {
-        if self.place == ELSEWHERE {
-            self.be(learner, NONE, now_s);
-            self.is_back = true;
-        }
-    }
-
     /// Counts the time spent until now, and learns from due forecasts.
-    pub(crate) fn learn_due(&mut self, learner: &mut Learner<'_>, home: &Home, now_s: f64) {
-        self.advance(learner, now_s);
-        let places = home.places();
-        for Anchor { horizon_s, pool, stayed, sets, waiting } in &mut self.anchors {
-            let is_due = |waiting: &Waiting| waiting.at_s + *horizon_s <= now_s;
+    pub(crate) fn learn_due(&mut self, view: &mut View<'_>, now_s: f64) {
+        self.advance(view, now_s);
+        let places = view.home.places();
+        for (Anchor { pool, stayed, sets, waiting }, horizon_s) in self.anchors.iter_mut().zip(ANCHORS_S) {
+            let is_due = |waiting: &Waiting| waiting.at_s + horizon_s <= now_s;
             while waiting.front().is_some_and(is_due)
                 && let Some(Waiting { at_s, context, threshold, rows }) = waiting.pop_front()
             {
-                let (due_s, place) = (at_s + *horizon_s, context.get(Here));
+                let due_s = at_s + horizon_s;
                 let truth = if due_s >= self.entered_s { self.place } else { self.before };
                 // Outcomes that were not observed in time are unknown.
-                if truth == NONE || place == NONE || !learner.learns || now_s - due_s > 2.0 * SAMPLE_S {
+                if truth == NONE || !view.learns || now_s - due_s > 2.0 * SAMPLE_S {
                     continue;
                 }
-                *stayed = [stayed[0] + f64::from(u8::from(truth == place)), stayed[1] + 1.0];
-                pool.count(learner, &context, truth, at_s);
-                if let Some(truth) = home.places.index(truth).filter(|_| rows.len() == (EXPERTS + 1) * places) {
+                *stayed = [stayed[0] + f64::from(u8::from(truth == context.get(Here))), stayed[1] + 1.0];
+                pool.count(view, &context, truth, at_s);
+                if let Some(truth) = view.home.places.index(truth) {
                     let given = |expert: usize| rows[expert * places + truth].max(FLOOR);
-                    pool.mixture.learn(given, SHARE, (SAMPLE_S / *horizon_s).min(1.0));
+                    pool.mixture.learn(given, SHARE, (SAMPLE_S / horizon_s).min(1.0));
                     sets.learn(rows[EXPERTS * places + truth], threshold);
                 }
             }
@@ -228,18 +203,15 @@ impl Stays {
 
     /// Keeps a forecast to learn from later, once a [`SAMPLE_S`]. `shipped` writes the forecast without habits.
     pub(crate) fn sample(&mut self, view: &View<'_>, now_s: f64, shipped: &mut dyn FnMut(f64, &mut [f64])) {
-        if now_s - self.sampled_s < SAMPLE_S {
+        if now_s - self.sampled_s < SAMPLE_S || view.home.places.index(self.place).is_none() {
             return;
         }
         self.sampled_s = now_s;
         let places = view.home.places();
         let mut own = vec![0.0; ANCHORS_S.len() * places];
         own.chunks_exact_mut(places).zip(ANCHORS_S).for_each(|(row, horizon_s)| shipped(horizon_s, row));
-        let is_known = view.home.places.index(self.place).is_some();
         let mut rows = Vec::new();
-        self.forecast(view, (now_s, &ANCHORS_S), &mut own, |_, all| {
-            rows.push(if is_known { all.to_vec() } else { Vec::new() })
-        });
+        self.forecast(view, (now_s, &ANCHORS_S), &mut own, |_, all| rows.push(all.to_vec()));
         let context = self.context(now_s);
         for ((horizon, anchor), rows) in (0..).zip(&mut self.anchors).zip(rows) {
             let (context, threshold) = (context.before(horizon), anchor.sets.threshold());
@@ -262,26 +234,26 @@ impl Stays {
     ) {
         let (places, context) = (view.home.places(), self.context(now_s));
         let here = view.home.places.index(self.place);
-        let Self { anchors, leaving, ahead, rows, .. } = self;
+        let Self { anchors, leaving, rows, .. } = self;
         let may_leave = here.is_some() || self.is_back;
         if may_leave {
-            leaving.forecast(view, (here, now_s - self.entered_s), (now_s, horizons_s), ahead);
+            let farthest_s = horizons_s.last().copied().unwrap_or(0.0);
+            leaving.begin(view, here, now_s - self.entered_s, (now_s, farthest_s));
         }
-        for (horizon, Anchor { horizon_s, pool, stayed, .. }) in (0..).zip(&mut *anchors) {
+        for ((horizon, horizon_s), Anchor { pool, stayed, .. }) in (0..).zip(ANCHORS_S).zip(&mut *anchors) {
             let Some(here) = here else { break };
             let stay = match self.place {
-                _ if places < 2 => 1.0,
                 // Stays in rooms do not predict the length of an absence.
-                ELSEWHERE => (SHIPPED_AWAY_S / (SHIPPED_AWAY_S + *horizon_s)).powi(2),
+                ELSEWHERE => (SHIPPED_AWAY_S / (SHIPPED_AWAY_S + horizon_s)).powi(2),
                 _ => stayed[0] / stayed[1],
             };
-            pool.begin(places, None);
-            let by_place = pool.row_mut(BY_PLACE);
-            by_place.fill((1.0 - stay) / (places - 1).max(1) as f64);
-            by_place[here] = stay;
+            pool.begin(places);
+            let later = pool.row_mut(LATER);
+            later.fill((1.0 - stay) / (places - 1).max(1) as f64);
+            later[here] = stay;
             pool.smooth(view, &context.before(horizon), |number| view.home.places.index(number));
         }
-        for (at, (horizon_s, out)) in horizons_s.iter().zip(out.chunks_exact_mut(places)).enumerate() {
+        for (horizon_s, out) in horizons_s.iter().zip(out.chunks_exact_mut(places)) {
             normalise(out);
             rows.clear();
             rows.resize((EXPERTS + 1) * places, 0.0);
@@ -289,19 +261,17 @@ impl Stays {
             let mut weights = [0.0; EXPERTS];
             experts[SHIPPED * places..][..places].copy_from_slice(out);
             if may_leave {
-                experts[LEAVING * places..][..places].copy_from_slice(&ahead[at * places..][..places]);
+                leaving.at(*horizon_s, &mut experts[LEAVING * places..][..places]);
             }
             if let Some(here) = here {
                 for (index, part) in between(*horizon_s).into_iter().filter(|(_, part)| *part > 0.0) {
-                    for expert in [BY_PLACE, LATER] {
-                        let sums = &mut experts[expert * places..][..places];
-                        match index {
-                            Some(index) => add(sums, anchors[index].pool.row(expert), part),
-                            // At time zero the person is in the present place.
-                            None => sums[here] += part,
-                        }
+                    let later = &mut experts[LATER * places..][..places];
+                    match index {
+                        Some(index) => add(later, anchors[index].pool.row(LATER), part),
+                        // At time zero the person is in the present place.
+                        None => later[here] += part,
                     }
-                    add(&mut weights, anchors[index.unwrap_or(0)].pool.mixture.weights(), part);
+                    add(&mut weights, &anchors[index.unwrap_or(0)].pool.mixture.weights, part);
                 }
             } else {
                 let key = Context::new(ELSEWHERE, 0, now_s).key(&EXIT[0], view.slot);

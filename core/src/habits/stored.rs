@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::context::{NONE, Number, SLOT_MASK, key, split};
 use super::counts::Row;
 use super::names::Names;
-use super::parts;
+use super::parts::{KINDS, names_of};
 use super::pool::{MOST, Pool};
 use super::stays::Anchor;
 use super::{Habits, HabitsOptions, PERSONS_MAX, Person};
@@ -13,7 +13,7 @@ use crate::ids::PersonId;
 use crate::parsing::{Keyed, json_says, list_of_keyed};
 
 /// Changes when older programs cannot read the state.
-pub(crate) const VERSION: u16 = 5;
+pub(crate) const VERSION: u16 = 6;
 /// The version of 0.1.0: it had other experts, and the keys of some contexts had other numbers.
 const OLDEST: u16 = 3;
 /// Largest readable state, in bytes.
@@ -103,41 +103,37 @@ impl Person {
 
     fn stored(mut self) -> StoredPerson {
         let weights = self.pools().flat_map(|pool| pool.learned().collect::<Vec<_>>()).collect();
-        let Self { number, slot, observations, repeated, stays, .. } = self;
+        let Self { number, slot, observations, things, stays, .. } = self;
         let anchors = stays.anchors.iter().map(|Anchor { sets, stayed: [stayed, sampled], .. }| {
             let (miss, scores) = sets.state();
             StoredAnchor { stayed: *stayed, sampled: *sampled, miss, scores }
         });
-        StoredPerson { number: number.0, slot, observations, repeated, weights, anchors: anchors.collect() }
+        let (repeated, anchors) = (things.repeated, anchors.collect());
+        StoredPerson { number: number.0, slot, observations, repeated, weights, anchors }
     }
 
-    /// A person of these values. Impossible weights are learned again, and all of an earlier version.
-    fn restored(from: &StoredPerson, version: u16, options: &HabitsOptions) -> Result<Self, StoredError> {
+    /// A person of these values; `None` if they are impossible. Impossible weights are learned again, and all of an earlier version.
+    fn restored(from: &StoredPerson, version: u16, options: &HabitsOptions) -> Option<Self> {
         let StoredPerson { number, slot, observations, repeated, weights, anchors } = from;
-        let pairs = || anchors.iter().map(|anchor| [anchor.stayed, anchor.sampled]).chain([*repeated]);
-        if !pairs().flatten().chain([*observations]).all(|value| (0.0..=MOST).contains(&value)) {
-            return Err(malformed(format_args!("a count of person {number} is no count")));
-        }
-        if pairs().any(|[some, all]| some > all) || anchors.iter().any(|anchor| anchor.sampled <= 0.0) {
-            return Err(malformed(format_args!("person {number} stayed more often than there were times")));
-        }
         let mut person = Self::new(PersonId(*number), *slot, options);
-        (person.observations, person.repeated) = (*observations, [repeated[0], repeated[1].max(1.0)]);
+        let pairs = || anchors.iter().map(|anchor| [anchor.stayed, anchor.sampled]).chain([*repeated]);
+        let is_possible = pairs().flatten().chain([*observations]).all(|value| (0.0..=MOST).contains(&value))
+            && pairs().all(|[some, all]| some <= all)
+            && anchors.len() == person.stays.anchors.len()
+            && usize::from(*slot) < PERSONS_MAX;
+        is_possible.then_some(())?;
+        (person.observations, person.things.repeated) = (*observations, [repeated[0], repeated[1].max(1.0)]);
         let mut rest = weights.as_slice();
-        for pool in person.pools().filter(|_| version > OLDEST) {
-            let missing = || malformed(format_args!("weights of person {number} are missing"));
-            rest = pool.restore(rest).ok_or_else(missing)?;
-        }
-        if anchors.len() != person.stays.anchors.len() {
-            return Err(malformed(format_args!("horizons of person {number} are missing")));
+        for pool in person.pools().filter(|_| version == VERSION) {
+            rest = pool.restore(rest)?;
         }
         for (own, anchor) in person.stays.anchors.iter_mut().zip(anchors) {
-            own.stayed = [anchor.stayed, anchor.sampled];
+            own.stayed = [anchor.stayed, anchor.sampled.max(1.0)];
             if version > OLDEST {
                 own.sets.restore(anchor.miss, &anchor.scores);
             }
         }
-        Ok(person)
+        Some(person)
     }
 }
 
@@ -145,7 +141,7 @@ impl Habits {
     /// The habits as values: counts of names and hours, no sentences.
     #[must_use]
     pub fn stored(&self) -> Stored {
-        let names = |names: &Names| names.names().iter().map(|name| StoredName { name: name.clone() }).collect();
+        let names = |names: &Names| names.names.iter().map(|name| StoredName { name: name.clone() }).collect();
         let row = |(key, Row { touched_min, counts }): (u64, Row)| {
             let (kind, slot, after) = split(key);
             StoredRow { kind, slot, after, touched_min, counts }
@@ -160,7 +156,7 @@ impl Habits {
     }
 
     /// Habits of these values, without a map and without places of persons. If there is more than the limits of `options` allow, the least useful
-    /// counts are dropped. Of 0.1.0 the counts stay, except for those with other numbers in their keys.
+    /// counts are dropped. Of earlier versions the counts stay, except for those of removed contexts and of keys that had other numbers.
     ///
     /// # Errors
     /// [`StoredError`] when the values are of another version, or impossible.
@@ -172,52 +168,42 @@ impl Habits {
             )));
         }
         let mut habits = Self::new(options);
-        for (names, own, known) in [(objects, &mut habits.home.things, 0), (places, &mut habits.home.places, 1)] {
+        for (names, own) in [(objects, &mut habits.home.things), (places, &mut habits.home.places)] {
             for (at, StoredName { name }) in names.into_iter().enumerate() {
-                let is_known = at < known && own.names().get(at) == Some(&name);
-                if !is_known && own.add(name.clone(), || None) != Some(at as u16) {
+                if own.names.get(at) != Some(&name) && own.add(name.clone(), || None) != Some(at as u16) {
                     let text = format_args!("the name {name:?} comes twice, is too long, or is one too many");
                     return Err(malformed(text));
                 }
             }
         }
         for from in &persons {
-            let person = Person::restored(from, version, &options)?;
-            let is_known = |other: &Person| other.number == person.number || other.slot == person.slot;
-            if habits.persons.iter().any(is_known) || usize::from(person.slot) >= PERSONS_MAX {
-                let text = format_args!("person {} comes twice, or in a place that does not exist", from.number);
-                return Err(malformed(text));
-            }
-            habits.persons.push(person);
+            let is_known = |other: &Person| other.number.0 == from.number || other.slot == from.slot;
+            let person = Person::restored(from, version, &options).filter(|_| !habits.persons.iter().any(is_known));
+            let impossible = || malformed(format_args!("person {} comes twice or has impossible values", from.number));
+            habits.persons.push(person.ok_or_else(impossible)?);
         }
-        let kinds = parts::kinds();
         for StoredRow { kind, slot, after, touched_min, mut counts } in rows {
             // A removed context, or one with other numbers.
-            let Some([first, second, third, counted]) = kinds[usize::from(kind)] else { continue };
-            if version == OLDEST && [11, 19, 20, 21, 26, 31].contains(&kind) {
+            if KINDS[usize::from(kind)].is_none() || version == OLDEST && [11, 20, 21, 26, 31].contains(&kind) {
                 continue;
             }
             // Earlier versions wrote counts of no symbol.
             counts.retain(|(_, count)| *count != 0.0);
             let total: f64 = counts.iter().map(|(_, count)| f64::from(*count)).sum();
             let key = key(kind, slot, after);
-            if total > MOST
-                || !counts.iter().all(|(_, count)| *count > 0.0)
-                || habits.counts.get(key, touched_min).is_some()
-            {
-                let text = format_args!("counts of kind {kind} are no counts, come twice, or are too large");
-                return Err(malformed(text));
-            }
             let exists = |(is, number): (Number, u16)| match is {
-                Number::Thing => number == NONE || usize::from(number) < habits.home.things.names().len(),
-                Number::Place => number == NONE || usize::from(number) < habits.home.places.names().len(),
+                Number::Thing => number == NONE || usize::from(number) < habits.home.things.names.len(),
+                Number::Place => number == NONE || usize::from(number) < habits.home.places.names.len(),
                 Number::Plain => true,
             };
-            let is_whole = habits.persons.iter().any(|person| person.slot == slot & SLOT_MASK)
-                && [first, second, third].into_iter().zip(after).all(exists)
-                && counts.iter().all(|(symbol, _)| *symbol != NONE && exists((counted, *symbol)));
-            if !is_whole {
-                return Err(malformed("a count names a person or a thing that has no name"));
+            let is_count =
+                |(symbol, count): &(u16, f32)| *count > 0.0 && *symbol != NONE && names_of(key, *symbol).all(exists);
+            let is_possible = total <= MOST
+                && counts.iter().all(is_count)
+                && habits.persons.iter().any(|person| person.slot == slot & SLOT_MASK)
+                && habits.counts.get(key, touched_min).is_none();
+            if !is_possible {
+                return Err(malformed(format_args!("counts of kind {kind} come twice or have impossible values")));
             }
             counts.iter().for_each(|(symbol, count)| habits.counts.add(key, *symbol, f64::from(*count), touched_min));
         }
@@ -237,9 +223,6 @@ impl Habits {
     /// # Errors
     /// As [`Habits::from_stored`].
     pub fn from_json(options: HabitsOptions, json: &str) -> Result<Self, StoredError> {
-        if json.len() > 4 * BYTES_MAX {
-            return Err(malformed(format_args!("{} bytes are more than {}", json.len(), 4 * BYTES_MAX)));
-        }
         let Keyed(stored): Keyed<Stored> = serde_json::from_str(json).map_err(|error| malformed(json_says(&error)))?;
         Self::from_stored(options, stored)
     }

@@ -314,7 +314,7 @@ fn values_and_json_give_back_what_was_learned() {
     assert!(Habits::from_json(*habits.options(), &json).unwrap().stored() == stored);
     assert!(Habits::from_json(*habits.options(), &json.replace("\"slot\":0", "\"slot\":77")).is_err());
     let later = Habits::from_stored(*habits.options(), Stored { version: 9, ..stored });
-    assert!(later.unwrap_err().to_string().contains("are of version 9, this program reads versions 3 to 5"));
+    assert!(later.unwrap_err().to_string().contains("are of version 9, this program reads versions 3 to 6"));
 }
 
 /// Paths of all numbers of an export.
@@ -427,6 +427,22 @@ fn counts_of_version_3_are_read_and_its_weights_are_not() {
     assert!(refused.to_string().contains("are of version 2"));
 }
 
+/// Version 5 had further contexts and experts. The other counts and the sets are read, and the weights are learned again.
+#[test]
+fn version_5_is_read_without_its_removed_contexts_and_its_weights() {
+    let mut habits = home(HabitsOptions::default());
+    mornings(&mut habits, PersonId(0), 6);
+    week(&mut habits, 3);
+    let whole = habits.stored();
+    let mut older = Stored { version: 5, ..whole.clone() };
+    older.persons[0].weights.push(0.5);
+    // After the last four things, and the stays in all rooms.
+    older.rows.extend([5, 19].map(|kind| StoredRow { kind, ..whole.rows[0].clone() }));
+    let read = Habits::from_stored(HabitsOptions::default(), older).unwrap().stored();
+    assert!(read.rows == whole.rows && read.persons[0].anchors == whole.persons[0].anchors);
+    assert_ne!(read.persons[0].weights, whole.persons[0].weights);
+}
+
 /// A year of two people who do much at random stays within the stated memory.
 #[test]
 fn memory_is_bounded() {
@@ -449,13 +465,13 @@ fn memory_is_bounded() {
 fn at_the_limit_of_names_the_least_counted_one_gives_way_with_its_counts() {
     let mut habits = home(HabitsOptions { names_max: LABELS.len(), ..HabitsOptions::default() });
     mornings(&mut habits, PersonId(0), 10);
-    let before = habits.home.things.names().to_vec();
+    let before = habits.home.things.names.to_vec();
     habits.bind((0..100).map(|label| format!("thing {label}")).collect(), words(&ROOMS), vec![1.0 / 3.0; 300]);
     for label in 0..100 {
         let at_s = MONDAY_S + 10.0 * DAY_S + 60.0 * label as f64;
         habits.observe(&Turn { person: PersonId(0), label: Some(label), room: Some(0), at_s });
     }
-    let after = habits.home.things.names().to_vec();
+    let after = habits.home.things.names.to_vec();
     let replaced = (0..before.len()).filter(|number| before[*number] != after[*number]).collect::<Vec<_>>();
     assert_eq!((replaced.len(), after[replaced[0]].as_str()), (1, "thing 99"));
     // Bed, shower and sofa were mentioned ten times, the bed earliest in the day.
@@ -486,7 +502,7 @@ fn at_the_limit_of_places_the_least_counted_one_gives_way_and_elsewhere_stays() 
             .for_each(|step| habits.be(PersonId(0), [Place::Room(0), Place::Elsewhere][step], MONDAY_S + step as f64));
         assert_eq!(habits.place(PersonId(0)), Some(Place::Elsewhere));
     }
-    let names = habits.home.places.names();
+    let names = &habits.home.places.names;
     assert_eq!((names.len(), names[usize::from(ELSEWHERE)].as_str()), (1_024, "(elsewhere)"));
     assert!(names.contains(&"room 1099".to_owned()) && !names.contains(&"bedroom".to_owned()));
     habits.bind(words(&LABELS), words(&ROOMS), shares());
@@ -701,7 +717,7 @@ fn time_that_nobody_watched_is_not_learned() {
     watched_days(&mut habits, 0..3);
     let now_s = MONDAY_S + 3.0 * DAY_S + 7.0 * 3_600.0;
     habits.be(PersonId(0), Place::Room(0), now_s);
-    let state = |habits: &Habits| (habits.stored().rows, habits.stored().persons, habits.home.things.names().len());
+    let state = |habits: &Habits| (habits.stored().rows, habits.stored().persons, habits.home.things.names.len());
     let before = state(&habits);
     habits.pass(now_s + 3_600.0);
     habits.shift_clock(-7_200.0);

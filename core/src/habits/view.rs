@@ -16,25 +16,35 @@ pub(crate) const OTHERS_MAX: usize = 3;
 /// Own observations that outweigh one observation of another person.
 const OTHERS_STRENGTH: f64 = 4.0;
 
-#[derive(Debug, Clone, Copy)]
+/// The counts and the home, for one event or forecast of a person.
+#[derive(Debug)]
 pub(crate) struct View<'a> {
-    pub(crate) counts: &'a Counts,
+    pub(crate) counts: &'a mut Counts,
     pub(crate) home: &'a Home,
     pub(crate) slot: u8,
-    pub(crate) others: [Option<u8>; OTHERS_MAX],
+    /// The persons with the most observations, with their slots, the first of them in use.
+    pub(crate) others: [(f64, Option<u8>); OTHERS_MAX + 1],
     pub(crate) now_min: u32,
     pub(crate) without: Without,
+    pub(crate) learns: bool,
 }
 
-impl<'a> View<'a> {
+impl View<'_> {
+    /// Counts a symbol in a context, if this is learned.
+    pub(crate) fn count(&mut self, level: &Level, context: &Context, (symbol, weight): (u16, f64), at_s: f64) {
+        if self.learns {
+            self.counts.add(context.key(level, self.slot), symbol, weight, minute(at_s));
+        }
+    }
+
     /// The counts of a key, if its level is used.
-    pub(crate) fn get(&self, level: &Level, key: u64) -> Option<Seen<'a>> {
+    pub(crate) fn get(&self, level: &Level, key: u64) -> Option<Seen<'_>> {
         self.without.uses(level.part).then(|| self.counts.get(key, self.now_min)).flatten()
     }
 
     /// The counts in a context, each with its strength: first the others', then the person's.
-    pub(crate) fn seen(&self, level: &Level, context: &Context) -> impl Iterator<Item = (Seen<'a>, f64)> {
-        let others = self.others.into_iter().flatten().map(|slot| (slot, OTHERS_STRENGTH));
+    pub(crate) fn seen(&self, level: &Level, context: &Context) -> impl Iterator<Item = (Seen<'_>, f64)> {
+        let others = self.others[..OTHERS_MAX].iter().filter_map(|(_, slot)| Some(((*slot)?, OTHERS_STRENGTH)));
         let slots = others.chain([(self.slot, 1.0)]);
         slots.filter_map(|(slot, strength)| Some((self.get(level, context.key(level, slot))?, strength)))
     }
@@ -58,7 +68,7 @@ impl<'a> View<'a> {
     }
 }
 
-fn smooth(
+pub(crate) fn smooth(
     seen: Seen<'_>,
     [discount, concentration]: [f64; 2],
     index: impl Fn(u16) -> Option<usize>,
@@ -81,23 +91,6 @@ fn smooth(
         }
     }
     (kept, total)
-}
-
-/// A person's counts, for writing.
-#[derive(Debug)]
-pub(crate) struct Learner<'a> {
-    pub(crate) counts: &'a mut Counts,
-    pub(crate) slot: u8,
-    pub(crate) learns: bool,
-}
-
-impl Learner<'_> {
-    /// Counts a symbol in a context, if this is learned.
-    pub(crate) fn count(&mut self, level: &Level, context: &Context, (symbol, weight): (u16, f64), at_s: f64) {
-        if self.learns {
-            self.counts.add(context.key(level, self.slot), symbol, weight, minute(at_s));
-        }
-    }
 }
 
 /// Adds a weighted row to `sums`.

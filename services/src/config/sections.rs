@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use super::house::{OnlyWhen, QuietHours, RoomNeeds, WhileAsleep, is_room};
-use roomcast_core::habits::{HabitsOptions, SetOptions};
+use roomcast_core::habits::HabitsOptions;
 use roomcast_core::narration::history::PERSONS_MAX;
 use roomcast_core::parsing::{keyed, list_of_keyed};
 use roomcast_core::policy::PolicyName;
@@ -205,8 +205,8 @@ pub struct HabitsConfig {
 
 impl Default for HabitsConfig {
     fn default() -> Self {
-        let HabitsOptions { learn, half_life_days, sets, .. } = HabitsOptions::default();
-        Self { learn, half_life_days, save_s: 300.0, coverage: sets.coverage }
+        let HabitsOptions { learn, half_life_days, coverage, .. } = HabitsOptions::default();
+        Self { learn, half_life_days, save_s: 300.0, coverage }
     }
 }
 
@@ -214,9 +214,8 @@ impl HabitsConfig {
     /// The options for learning.
     #[must_use]
     pub fn options(&self) -> HabitsOptions {
-        let default = HabitsOptions::default();
-        let sets = SetOptions { coverage: self.coverage, ..default.sets };
-        HabitsOptions { learn: self.learn, half_life_days: self.half_life_days, sets, ..default }
+        let Self { learn, half_life_days, coverage, .. } = *self;
+        HabitsOptions { learn, half_life_days, coverage, ..HabitsOptions::default() }
     }
 }
 

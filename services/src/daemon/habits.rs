@@ -517,7 +517,7 @@ impl HomeHabits {
     /// The sets of a person's latest forecast by horizon, and their promised coverage.
     pub(super) fn sets(&self, person: PersonId) -> Option<(f64, &[PlaceSet])> {
         let ahead = self.ahead.get(&person).filter(|ahead| ahead.of.is_some())?;
-        Some((self.memory.habits.options().sets.coverage, &ahead.sets))
+        Some((self.memory.habits.options().coverage, &ahead.sets))
     }
 
     /// The latest forecast of a person, by horizon: the probability of each place, elsewhere last.

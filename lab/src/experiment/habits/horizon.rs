@@ -3,7 +3,7 @@
 use super::predictors::{MIXTURE, MODEL, Others, PERSISTENCE, STAY, WITHOUT_MODEL, normalise, staying};
 use super::tally::Tally;
 use super::{CHAINS, HORIZONS_S, PREDICTORS};
-use roomcast_core::habits::{AdaptiveSets, SetOptions};
+use roomcast_core::habits::AdaptiveSets;
 use roomcast_simulation::trace::Trace;
 use std::collections::VecDeque;
 
@@ -29,8 +29,8 @@ pub(super) struct Horizon {
 }
 
 impl Horizon {
-    pub(super) fn all(sets: SetOptions) -> Vec<Self> {
-        let promise = |never_empty| AdaptiveSets::new(SetOptions { never_empty, ..sets });
+    pub(super) fn all(coverage: f64) -> Vec<Self> {
+        let promise = |never_empty| AdaptiveSets::new(coverage, never_empty);
         let horizon = |horizon_s| Self {
             horizon_s,
             waiting: VecDeque::new(),

@@ -144,7 +144,7 @@ pub(super) fn report(watch: &Watch<'_>, predictors: &[&str], options: &Options, 
     let sets = watch.horizons.iter().filter(|horizon| horizon.moments > 0.0);
     let sets = sets.map(|horizon| Sets {
         horizon_s: horizon.horizon_s,
-        coverage_asked: options.habits.sets.coverage,
+        coverage_asked: options.habits.coverage,
         coverage: horizon.held[0] / horizon.moments,
         size_mean: horizon.size[0] / horizon.moments,
         size_mean_shipped: horizon.size[1] / horizon.moments,

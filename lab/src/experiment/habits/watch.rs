@@ -113,7 +113,7 @@ impl<'a> Watch<'a> {
             objects: Others::new(),
             turns: Others::new(),
             next_rooms: Others::new(),
-            horizons: Horizon::all(options.habits.sets),
+            horizons: Horizon::all(options.habits.coverage),
             context: Vec::new(),
             turned: Vec::new(),
             places: Vec::new(),

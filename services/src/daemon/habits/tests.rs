@@ -710,8 +710,6 @@ fn what_is_said_of_everybody_is_learned_of_each() {
 /// Time in which the machine was suspended is not a stay.
 #[test]
 fn a_night_in_which_the_machine_slept_is_not_counted() {
-    /// The kind of exits and time spent over all places.
-    const STAY: u8 = 19;
     let minutes = |sleeps: bool| {
         let mut house = House::new(true);
         house.say(PersonId(3), 22 * H, "They sit on the sofa.");
@@ -722,7 +720,7 @@ fn a_night_in_which_the_machine_slept_is_not_counted() {
         house.until(30 * H + 600);
         house.say(PersonId(3), 30 * H + 600, "They open the fridge.");
         let json: serde_json::Value = serde_json::from_str(&house.engine.habits().to_json().unwrap()).unwrap();
-        let rows = json["rows"].as_array().unwrap().iter().filter(|row| row["kind"] == STAY);
+        let rows = json["rows"].as_array().unwrap().iter().filter(|row| row["kind"] == STAYS_BY_PLACE);
         let counts = rows.flat_map(|row| row["counts"].as_array().unwrap());
         counts.filter(|count| count[0] == 1).map(|count| count[1].as_f64().unwrap()).sum::<f64>()
     };

@@ -197,7 +197,13 @@ mod tests {
         let bytes = file(&habits);
         assert_eq!(stored(&bytes).unwrap().version, VERSION_MAX);
         let read = Habits::from_stored(HabitsOptions::default(), stored(&bytes).unwrap()).unwrap();
-        assert!(read.stored() == habits.stored());
+        // The weights are learned again.
+        let without_weights = |habits: &Habits| {
+            let mut stored = serde_json::to_value(habits.stored()).unwrap();
+            stored["persons"][0]["weights"].take();
+            stored
+        };
+        assert_eq!(without_weights(&read), without_weights(&habits));
         for at in (0..bytes.len()).step_by(101) {
             let mut other = bytes.clone();
             other[at] ^= 0x10;
