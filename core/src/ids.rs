@@ -30,7 +30,7 @@ impl FromStr for PersonId {
 }
 
 /// The name of an event: its narrator, the narrator's start, and the event's number since that start.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct EventId {
     /// The narrator.
     pub source: u64,

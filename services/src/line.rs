@@ -42,7 +42,7 @@ impl Item {
 
     fn of_line(line: Line) -> Result<Self, TextError> {
         let Line { kind, text, person, observed_unix_ns, count } = line;
-        let item = Self { observed_unix_ns, count, ..Self::new(kind.number(), text, person) };
+        let item = Self { observed_unix_ns, count, ..Self::new(kind as u32, text, person) };
         item.message().map_err(|error| TextError(error.to_string()))?;
         Ok(item)
     }
@@ -172,7 +172,7 @@ mod tests {
                 Ok(Some(item)) => {
                     let age_ns = item.observed_unix_ns.map_or(0, |observed_ns| UnixNs(now_ns).since(observed_ns));
                     let kind = line::Kind::from_repr(item.kind);
-                    json!({"kind": kind, "text": item.text, "person": item.person.json(), "age_s": age_ns as f64 / 1e9})
+                    json!({"kind": kind, "text": item.text, "person": item.person, "age_s": age_ns as f64 / 1e9})
                 }
                 Ok(None) => json!("blank"),
                 Err(_) => json!("refused"),

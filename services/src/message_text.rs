@@ -40,7 +40,7 @@ mod tests {
             (Kind::Presence, narration_kind::PRESENCE),
         ];
         for (kind, number) in numbers {
-            assert_eq!((kind.number(), Kind::from_repr(number)), (number, Some(kind)));
+            assert_eq!((kind as u32, Kind::from_repr(number)), (number, Some(kind)));
         }
         assert_eq!(Kind::from_repr(narration_kind::PRESENCE + 1), None);
     }

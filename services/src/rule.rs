@@ -93,7 +93,7 @@ impl Saying {
                 return Err("the state of a sensor excludes say and presence; make two rules of it".to_owned());
             }
         };
-        let person = person.map_or(Value::Null, Who::json);
+        let person = person.map_or(Value::Null, |person| serde_json::json!(person));
         match class {
             Class::Sensor(kind) => check_sensor(kind, &keys)?,
             _ if device != Device::default() => {

@@ -96,12 +96,8 @@ impl Day {
     /// The day's actions as one program.
     #[must_use]
     pub fn program(&self, title: &str) -> Program {
-        Program {
-            title: title.to_owned(),
-            description: String::new(),
-            steps: self.actions.iter().map(|timed| timed.action.clone()).collect(),
-            notes: Vec::new(),
-        }
+        let steps = self.actions.iter().map(|timed| timed.action.clone()).collect();
+        Program { title: title.to_owned(), steps }
     }
 }
 

@@ -57,7 +57,7 @@ mod tests {
             let taken = line_of(bytes, row["first"] == true, now_ns);
             let says = match &taken {
                 Ok(Some((observation, age))) => json!({
-                    "kind": observation.kind, "text": observation.text, "person": observation.person.json(),
+                    "kind": observation.kind, "text": observation.text, "person": observation.person,
                     "age_s": age.age_ns as f64 / 1e9,
                 }),
                 Ok(None) => json!("blank"),

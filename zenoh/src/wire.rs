@@ -74,7 +74,7 @@ impl Observation {
     pub fn message(&self) -> Result<NarrationV1, Fault> {
         let fault = |error: &dyn std::fmt::Display| Fault(error.to_string());
         let content = self.text.trim();
-        let message = NarrationV1::new(self.kind.number(), content).map_err(|error| fault(&error))?;
+        let message = NarrationV1::new(self.kind as u32, content).map_err(|error| fault(&error))?;
         let person_name = text::encode("person", self.person.name()).map_err(|error| fault(&error))?;
         self.kind.event(content).map_err(|error| fault(&error))?;
         Ok(NarrationV1 { person: self.person.number().0, person_name, count: self.count.into(), ..message })

@@ -72,7 +72,7 @@ impl From<RoomName> for String {
 }
 
 /// What a narrator reports about a person or a room.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, strum::IntoStaticStr)]
+#[derive(Debug, Clone, PartialEq, Eq, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Event {
     /// An action: context for the language model. Its person is in the house.
@@ -104,15 +104,6 @@ impl Event {
     ///
     /// # Errors
     /// Any other text is refused.
-    ///
-    /// ```
-    /// use roomcast_core::narration::Event;
-    ///
-    /// let event = Event::presence("present in the kitchen")?;
-    /// assert!(matches!(&event, Event::Present(Some(room)) if room.as_str() == "kitchen"));
-    /// assert!(Event::presence("in the kitchen").is_err());
-    /// # Ok::<(), roomcast_core::narration::TextError>(())
-    /// ```
     pub fn presence(text: &str) -> Result<Self, TextError> {
         let room = |room: &str| RoomName::new(room).or_else(|_| no_presence(text));
         match text.trim() {

@@ -14,16 +14,13 @@ pub const OBSERVATIONS_MAX: usize = 1000;
 /// For so long a narrator keeps its places in a window against others, in nanoseconds of observed time: ten minutes.
 pub const KEPT_NS: u64 = 600_000_000_000;
 
-/// The owner of an observation in a window that several narrators fill.
-///
-/// While one quota speaks alone, the oldest observation leaves a full window. Otherwise the quota that holds most for its share loses its
-/// oldest: most places where these are too many, most tokens where these are. So each quota keeps its observations of the last [`KEPT_NS`],
-/// up to its share of the places and of the tokens, however much the others say.
+/// The owner of an observation. From a full window, the quota that holds most places or tokens for its share loses its oldest observation. So each
+/// quota keeps its observations of the last [`KEPT_NS`], up to its share, however much the others say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Quota {
     /// Its number.
     pub number: u64,
-    /// Its places for each place of a quota of share 1; at least 1.
+    /// Its places for each place of a quota of share 1.
     pub share: u32,
 }
 
@@ -38,15 +35,12 @@ impl Quota {
     }
 }
 
-/// How much of the past a prompt holds.
-///
-/// With `slack` 0 the window is the paper's: the last n_h observations, and the prompt's beginning changes at every
-/// event. With slack it grows to n_h + slack before it is cut back to n_h, so that between two cuts the prompt only
-/// gets longer and what the model has already read of it stays valid.
+/// How much of the past a prompt holds. With `slack` 0 the window is the paper's: the last n_h observations, and the prompt's beginning changes at
+/// every event. With slack it grows to n_h + slack before it is cut back to n_h, so that the model's read prompt stays valid between two cuts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HistoryLimits {
-    /// n_h: at least this many of the last observations stay, if the tokens allow. At least 1.
+    /// n_h: this many of the last observations stay, if the tokens allow. At least 1.
     pub observations: usize,
     /// How many more may gather before the window is cut back.
     pub slack: usize,
@@ -62,20 +56,18 @@ impl HistoryLimits {
     pub fn exact(observations: usize) -> Self {
         Self { observations, slack: 0, tokens: usize::MAX, gap_s: 0 }
     }
+
+    /// Whether this time is a gap.
+    #[must_use]
+    pub fn is_gap(&self, seconds: f64) -> bool {
+        self.gap_s > 0 && seconds > self.gap_s as f64
+    }
 }
 
 impl Default for HistoryLimits {
     /// 12 to 16 observations, the length that the shipped model was trained on, 1024 tokens, and an hour.
     fn default() -> Self {
         Self { observations: 12, slack: 4, tokens: 1024, gap_s: 3600 }
-    }
-}
-
-impl HistoryLimits {
-    /// Whether this time is a gap.
-    #[must_use]
-    pub fn is_gap(&self, seconds: f64) -> bool {
-        self.gap_s > 0 && seconds > self.gap_s as f64
     }
 }
 
@@ -86,21 +78,13 @@ struct Held {
     quota: Quota,
 }
 
-/// The window of one person. Observations enter at the end and leave whole: at the front, or where a narrator holds more than its share
-/// ([`Quota`]).
+/// The window of one person. Observations enter at the end and leave as [`Quota`] says.
 #[derive(Debug, Clone)]
 pub struct History {
     limits: HistoryLimits,
     window: VecDeque<Held>,
     tokens: usize,
     left: u64,
-}
-
-/// The limit that a window exceeds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Excess {
-    Places,
-    Tokens,
 }
 
 impl History {
@@ -117,9 +101,8 @@ impl History {
         self.hear(observation, quota, tokens)
     }
 
-    /// Appends an observation with a sentence of `tokens` tokens; without a tokeniser its length in bytes is a safe bound.
-    /// Gives how many observations left the window, this one included when it costs more than the window holds, or more than its quota's
-    /// share of one that is full.
+    /// Appends an observation with a sentence of `tokens` tokens; without a tokeniser its length in bytes is a safe bound. Gives how many observations
+    /// left: also this one, if it has more tokens than the window, or than its quota's share of a full one.
     pub fn hear(&mut self, observation: Observation, quota: Quota, tokens: usize) -> usize {
         if tokens > self.limits.tokens {
             return 1;
@@ -152,18 +135,6 @@ impl History {
         left
     }
 
-    /// From here on the window keeps its observations for no quota.
-    fn forget_quotas(&mut self) {
-        self.window.iter_mut().for_each(|held| held.quota = Quota::EARLIER);
-    }
-
-    /// Sets how many tokens the window may hold, and cuts it at once if it holds more.
-    fn limit_tokens(&mut self, tokens: usize) {
-        self.limits.tokens = tokens;
-        self.keep(|held| held.tokens <= tokens);
-        self.cut();
-    }
-
     /// Cuts a window that has grown beyond its limits. Gives how many observations left.
     fn cut(&mut self) -> usize {
         let high = self.limits.observations.saturating_add(self.limits.slack);
@@ -173,33 +144,25 @@ impl History {
         // Cut tokens back by the same share as observations, so that a window bound by tokens is as stable.
         let tokens_low = self.limits.tokens as u128 * self.limits.observations as u128 / high.max(1) as u128;
         let before = self.window.len();
-        let over_tokens = self.tokens > self.limits.tokens;
+        let is_over = self.tokens > self.limits.tokens;
         while self.window.len() > 1 {
-            // First the tokens: what leaves for them may be room enough.
-            if over_tokens && self.tokens as u128 > tokens_low {
-                self.drop_one(Excess::Tokens);
-            } else if self.window.len() > self.limits.observations {
-                self.drop_one(Excess::Places);
-            } else {
+            // First the tokens: their excess may be all that has to leave.
+            let by_tokens = is_over && self.tokens as u128 > tokens_low;
+            if !by_tokens && self.window.len() <= self.limits.observations {
                 break;
             }
+            let place = self.next_to_leave(by_tokens);
+            self.tokens -= self.window.remove(place).map_or(0, |gone| gone.tokens);
         }
-        before - self.window.len()
-    }
-
-    /// Drops the observation that leaves next.
-    fn drop_one(&mut self, excess: Excess) {
-        let place = self.next_to_leave(excess);
-        if let Some(gone) = self.window.remove(place) {
-            self.tokens -= gone.tokens;
-            self.left += 1;
-        }
+        let left = before - self.window.len();
+        self.left += left as u64;
+        left
     }
 
     /// The observation that leaves next: an expired one, else the oldest of the quota that holds most for its share. The newest leaves only if
     /// it alone has more tokens than that share: otherwise a long sentence would remove all others.
-    fn next_to_leave(&mut self, excess: Excess) -> usize {
-        let Some(first) = self.window.front().map(|held| held.quota) else { return 0 };
+    fn next_to_leave(&self, by_tokens: bool) -> usize {
+        let first = self.window[0].quota;
         if self.window.iter().all(|held| held.quota.number == first.number) {
             return 0;
         }
@@ -212,25 +175,22 @@ impl History {
         }
         let holds = |quota: Quota| {
             let own = self.window.iter().filter(|held| held.quota.number == quota.number);
-            own.map(|held| if excess == Excess::Places { 1 } else { held.tokens as u64 }).fold(0, u64::saturating_add)
+            own.map(|held| if by_tokens { held.tokens as u128 } else { 1 }).sum::<u128>()
         };
-        let may_leave = self.window.iter().take(if excess == Excess::Tokens { others + 1 } else { others });
-        let mut most: (usize, Quota, u64) = (0, first, holds(first));
-        for (place, own) in may_leave.enumerate().filter(|(_, own)| own.quota.number != first.number) {
+        let mut most = (0, first);
+        for (place, own) in self.window.iter().take(others + usize::from(by_tokens)).enumerate() {
             // Of equal ones, the one that spoke first.
-            let (_, than, held) = most;
-            if own.quota.number != than.number
-                && holds(own.quota).saturating_mul(than.share.max(1).into())
-                    > held.saturating_mul(own.quota.share.max(1).into())
+            let (_, than) = most;
+            if own.quota != than
+                && holds(own.quota) * u128::from(than.share) > holds(than) * u128::from(own.quota.share)
             {
-                most = (place, own.quota, holds(own.quota));
+                most = (place, own.quota);
             }
         }
         most.0
     }
 
-    /// How many observations leave with the next cut, and how many more arrive until then, if one quota speaks and the tokens suffice. `None` while
-    /// the window has places for longer.
+    /// How many observations leave with the next cut, and how many arrive until then, if one quota speaks. `None` while the window has more places.
     pub(crate) fn next_cut(&self) -> Option<(usize, usize)> {
         let over = self.limits.observations.saturating_add(self.limits.slack).saturating_add(1);
         let is_near = self.window.len() >= self.limits.observations;
@@ -287,29 +247,12 @@ impl Histories {
         Self { limits, by_person: BTreeMap::new(), pushes: 0 }
     }
 
-    /// Appends to the history of the observation's person; see [`History::push`].
-    pub fn push(&mut self, observation: Observation, tokens: usize) -> usize {
-        let quota = Quota::of_source(observation.source);
-        self.hear(observation, quota, tokens)
-    }
-
-    /// Appends an observation of a quota; see [`History::hear`].
-    pub fn hear(&mut self, observation: Observation, quota: Quota, tokens: usize) -> usize {
-        if tokens > self.limits.tokens {
-            // It must not make room for its person either.
-            return 1;
-        }
-        self.known(observation.person).hear(observation, quota, tokens)
-    }
-
     /// The history of a person; a new one if there is none.
     pub fn known(&mut self, person: PersonId) -> &mut History {
         self.pushes += 1;
         if self.by_person.len() >= PERSONS_MAX && !self.by_person.contains_key(&person) {
             let oldest = self.by_person.iter().min_by_key(|(_, (seen, _))| *seen).map(|(person, _)| *person);
-            if let Some(oldest) = oldest {
-                self.by_person.remove(&oldest);
-            }
+            oldest.and_then(|oldest| self.by_person.remove(&oldest));
         }
         let (seen, history) = self.by_person.entry(person).or_insert_with(|| (0, History::new(self.limits)));
         *seen = self.pushes;
@@ -344,12 +287,17 @@ impl Histories {
     /// Sets how many tokens each window may hold, for a prompt that has less room than before.
     pub(crate) fn limit_tokens(&mut self, tokens: usize) {
         self.limits.tokens = tokens;
-        self.by_person.values_mut().for_each(|(_, history)| history.limit_tokens(tokens));
+        for (_, history) in self.by_person.values_mut() {
+            history.limits.tokens = tokens;
+            history.keep(|held| held.tokens <= tokens);
+            history.cut();
+        }
     }
 
-    /// All present observations are from before a restart; see [`Quota`].
+    /// All present observations are from before a restart: the windows keep no places for them.
     pub(crate) fn forget_quotas(&mut self) {
-        self.by_person.values_mut().for_each(|(_, history)| history.forget_quotas());
+        let held = self.by_person.values_mut().flat_map(|(_, history)| &mut history.window);
+        held.for_each(|held| held.quota = Quota::EARLIER);
     }
 
     /// Forgets a person, such as a visitor that has left.
@@ -365,27 +313,23 @@ mod tests {
     use crate::narration::Sentence;
     use proptest::prelude::*;
 
-    fn observation(person: PersonId, sequence: u64) -> Observation {
-        let sentence = Sentence::new(&format!("They do thing {sequence}")).unwrap();
-        let (observed_ns, observed_unix_ns) = (BootNs(sequence), UnixNs(sequence));
-        Observation {
-            person,
-            source: 1,
-            epoch: 1,
-            observed_ns,
-            observed_unix_ns,
-            ..Observation::of(sequence, sentence)
-        }
+    fn said(source: u64, sequence: u64) -> Observation {
+        let own = Observation::of(sequence, Sentence::new("They sit.").unwrap());
+        Observation { source, observed_ns: BootNs(sequence), observed_unix_ns: UnixNs(sequence), ..own }
     }
 
     fn sequences(history: &History) -> Vec<u64> {
         history.observations().map(|o| o.sequence).collect()
     }
 
+    fn of_source(history: &History, source: u64) -> usize {
+        history.observations().filter(|own| own.source == source).count()
+    }
+
     #[test]
     fn with_slack_it_is_cut_back_seldom() {
         let mut history = History::new(HistoryLimits { observations: 3, slack: 2, tokens: 1000, gap_s: 0 });
-        let left = [0, 1, 2, 3, 4, 5, 6, 7, 8].map(|i| history.push(observation(PersonId(0), i), 5));
+        let left = [0, 1, 2, 3, 4, 5, 6, 7, 8].map(|i| history.push(said(1, i), 5));
         assert_eq!((left, sequences(&history), history.left()), ([0, 0, 0, 0, 0, 3, 0, 0, 3], vec![6, 7, 8], 6));
     }
 
@@ -396,29 +340,16 @@ mod tests {
         let at = |sequence: u64, monotonic_s: u64, unix_s: u64| Observation {
             observed_ns: BootNs(monotonic_s * S),
             observed_unix_ns: UnixNs(unix_s * S),
-            ..observation(PersonId(0), sequence)
+            ..said(1, sequence)
         };
         let mut history = History::new(HistoryLimits { gap_s: 60, ..HistoryLimits::default() });
-        let after = [
-            (at(1, 10, 0), vec![1]),
-            (at(2, 70, 0), vec![1, 2]),
-            (at(3, 131, 500), vec![3]),
-            // The machine started in between: only the wall clock counts.
-            (at(4, 0, 550), vec![3, 4]),
-            (at(5, 5, 611), vec![5]),
-            // No clock tells.
-            (at(6, 0, 0), vec![5, 6]),
-            // It does of what came before that.
-            (at(7, 9000, 9000), vec![7]),
-            // The wall clock was put back: the monotonic one counts.
-            (at(8, 9030, 1), vec![7, 8]),
-            // Late, and then in time again.
-            (at(9, 8900, 1), vec![7, 8, 9]),
-            (at(10, 9040, 1), vec![7, 8, 9, 10]),
-        ];
-        for (observation, held) in after {
-            history.push(observation, 5);
-            assert_eq!(sequences(&history), held);
+        // The monotonic and the wall clock in seconds, and the first observation of the window. The machine starts before 4, 6 has no clock, the
+        // wall clock is put back before 8, and 9 is late.
+        const STEPS: &str = "10 0 1|70 0 1|131 500 3|0 550 3|5 611 5|0 0 5|9000 9000 7|9030 1 7|8900 1 7|9040 1 7";
+        for (number, step) in (1..).zip(STEPS.split('|')) {
+            let step: Vec<u64> = step.split(' ').map(|number| number.parse().unwrap()).collect();
+            history.push(at(number, step[0], step[1]), 5);
+            assert_eq!(sequences(&history), (step[2]..=number).collect::<Vec<_>>());
         }
         assert_eq!((history.end(), history.len(), history.left()), (4, 0, 10));
         let mut patient = History::new(HistoryLimits { gap_s: 0, ..HistoryLimits::default() });
@@ -426,99 +357,65 @@ mod tests {
         assert_eq!(patient.push(at(2, 1_000_000, 1_000_000), 5), 0);
     }
 
-    /// Row "a sentence of one kilobyte" of the attacks: what cannot be scored costs the others nothing.
+    /// The attack "a sentence of one kilobyte".
     #[test]
-    fn what_costs_more_than_the_window_holds_never_enters() {
-        let mut history = History::new(HistoryLimits { observations: 8, slack: 0, tokens: 20, gap_s: 0 });
-        history.push(observation(PersonId(0), 0), 5);
-        assert_eq!(history.push(observation(PersonId(0), 1), 21), 1);
-        assert_eq!(history.push(observation(PersonId(0), 2), 5), 0);
-        assert_eq!(sequences(&history), [0, 2]);
-        // A map with more labels leaves less room.
-        history.limit_tokens(4);
-        assert!(history.is_empty());
+    fn sentences_with_more_tokens_than_the_window_never_enter() {
         let mut histories = Histories::new(HistoryLimits { observations: 8, slack: 0, tokens: 20, gap_s: 0 });
-        histories.push(observation(PersonId(7), 0), 21);
-        assert!(histories.get(PersonId(7)).is_none());
+        let history = histories.known(PersonId(0));
+        assert_eq!([(0, 5), (1, 21), (2, 5)].map(|(n, tokens)| history.push(said(1, n), tokens)), [0, 1, 0]);
+        assert_eq!(sequences(history), [0, 2]);
+        // A map with more labels leaves less room.
+        histories.limit_tokens(4);
+        assert!(histories.known(PersonId(0)).is_empty());
     }
 
-    fn said(source: u64, sequence: u64) -> Observation {
-        Observation { source, ..observation(PersonId(0), sequence) }
-    }
-
-    fn sources(history: &History) -> Vec<u64> {
-        history.observations().map(|o| o.source).collect()
-    }
-
-    /// Row "one narrator with long permitted sentences" of the attacks: each of them alone would fill the window.
+    /// The attack "one narrator with long permitted sentences": each of them alone would fill the window.
     #[test]
     fn long_sentences_leave_the_others_their_part() {
         let mut history = History::new(HistoryLimits::default());
-        for n in 0..12 {
-            history.push(said(1, n), 20);
-        }
+        (0..12).for_each(|n| _ = history.push(said(1, n), 20));
         for n in 12..100 {
             assert_eq!(history.push(said(2, n), 1000), 1, "it has no place among the others");
         }
         assert_eq!(sequences(&history), (0..12).collect::<Vec<_>>());
         // As many as go into its share stay.
-        for n in 100..200 {
-            history.push(said(2, n), 150);
-        }
-        let (honest, held) = (sources(&history).iter().filter(|source| **source == 1).count(), history.len());
+        (100..200).for_each(|n| _ = history.push(said(2, n), 150));
+        let (honest, held) = (of_source(&history, 1), history.len());
         assert!(honest >= 6 && history.observations().next_back().unwrap().sequence == 199, "{honest} of {held}");
-        // Alone with itself it has the whole window.
+        // Alone it has the whole window.
         let mut alone = History::new(HistoryLimits::default());
-        for n in 0..100 {
-            alone.push(said(2, n), 1000);
-        }
+        (0..100).for_each(|n| _ = alone.push(said(2, n), 1000));
         assert_eq!(sequences(&alone), [99]);
     }
 
     #[test]
-    fn what_is_older_than_ten_minutes_is_kept_for_nobody() {
+    fn no_quota_keeps_observations_for_more_than_ten_minutes() {
         let mut history = History::new(HistoryLimits::exact(4));
-        for n in 0..2 {
-            history.push(said(1, n), 5);
-        }
+        (0..2).for_each(|n| _ = history.push(said(1, n), 5));
         let later = |n| Observation { observed_ns: BootNs(KEPT_NS + 10 + n), ..said(2, n) };
-        for n in 2..6 {
-            history.push(later(n), 5);
-        }
+        (2..6).for_each(|n| _ = history.push(later(n), 5));
         assert_eq!(sequences(&history), [2, 3, 4, 5]);
     }
 
     #[test]
     fn a_larger_share_keeps_more_places() {
-        let mut history = History::new(HistoryLimits::exact(12));
-        let (named, other) = (Quota { number: 1, share: 3 }, Quota { number: 2, share: 1 });
-        for n in 0..12 {
-            history.hear(said(1, n), named, 5);
-        }
-        for n in 12..100 {
-            history.hear(said(2, n), other, 5);
-        }
-        assert_eq!(sources(&history).iter().filter(|source| **source == 1).count(), 9);
+        let mut histories = Histories::new(HistoryLimits::exact(12));
+        let history = histories.known(PersonId(0));
+        (0..12).for_each(|n| _ = history.hear(said(1, n), Quota { number: 1, share: 3 }, 5));
+        (12..100).for_each(|n| _ = history.push(said(2, n), 5));
+        assert_eq!(of_source(history, 1), 9);
         // After a restart the oldest go first.
-        let before = sequences(&history);
-        history.forget_quotas();
-        for n in 100..105 {
-            history.hear(said(3, n), Quota::of_source(3), 5);
-        }
-        assert_eq!(sequences(&history)[..7], before[5..]);
+        let before = sequences(history);
+        histories.forget_quotas();
+        let history = histories.known(PersonId(0));
+        (100..105).for_each(|n| _ = history.push(said(3, n), 5));
+        assert_eq!(sequences(history)[..7], before[5..]);
     }
 
     #[test]
-    fn persons_do_not_mix_and_are_bounded() {
+    fn persons_are_bounded() {
         let mut histories = Histories::new(HistoryLimits::default());
-        for sequence in 0..200 {
-            histories.push(observation(PersonId(sequence as u32 % 2), sequence), 5);
-        }
-        let first = histories.get(PersonId(0)).unwrap();
-        assert!(first.observations().all(|o| o.person == PersonId(0) && o.sequence % 2 == 0));
-        for person in 0..1000 {
-            histories.push(observation(PersonId(person), 0), 5);
-        }
+        (0..1000).for_each(|person| _ = histories.known(PersonId(person)));
         assert_eq!(histories.iter().count(), PERSONS_MAX);
         assert!(histories.get(PersonId(999)).is_some() && histories.get(PersonId(0)).is_none());
         assert!(histories.remove(PersonId(999)).is_some() && histories.get(PersonId(999)).is_none());
@@ -533,7 +430,7 @@ mod tests {
             let mut history = History::new(HistoryLimits { observations, slack, tokens, gap_s: 0 });
             for (i, cost) in costs.iter().enumerate() {
                 let before = history.len();
-                let left = history.push(observation(PersonId(0), i as u64), *cost);
+                let left = history.push(said(1, i as u64), *cost);
                 prop_assert_eq!(history.len(), before + 1 - left);
                 let fit: Vec<u64> = (0..=i as u64).filter(|i| costs[*i as usize] <= tokens).collect();
                 let first = fit.len() - history.len();

@@ -1,11 +1,9 @@
 //! One line of narration: a sentence, an action, a device's state, or a JSON object with person, time or presence.
 //! `docs/json-lines.md` is the manual. Narrators, hubs and ROS 2 all read their lines here, so that none takes what another one refuses.
-//! Pure.
 
 use std::str::FromStr;
 
 use serde::de::{Deserialize, Deserializer, Error};
-use serde::{Serialize, Serializer};
 use serde_json::Value;
 
 use super::forms::{COUNT_MAX, form_of};
@@ -36,12 +34,6 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Its number in messages.
-    #[must_use]
-    pub fn number(self) -> u32 {
-        self as u32
-    }
-
     /// The kind of a text that stands alone: an action if it opens with `[`, a device's state if it reads "the ... is ...", else a sentence.
     #[must_use]
     pub fn of(text: &str) -> Self {
@@ -67,8 +59,9 @@ impl Kind {
     }
 }
 
-/// The person of an event.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
+/// The person of an event; null in JSON for somebody.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Hash, serde::Serialize)]
+#[serde(untagged)]
 pub enum Who {
     /// Somebody: the daemon attributes the event by fit.
     #[default]
@@ -97,16 +90,6 @@ impl Who {
     pub fn is_somebody(&self) -> bool {
         *self == Self::Somebody
     }
-
-    /// As it stands in a line of JSON; null for somebody.
-    #[must_use]
-    pub fn json(&self) -> Value {
-        match self {
-            Self::Somebody => Value::Null,
-            Self::Number(number) => number.0.into(),
-            Self::Name(name) => name.as_str().into(),
-        }
-    }
 }
 
 impl From<PersonId> for Who {
@@ -125,12 +108,6 @@ impl FromStr for Who {
             Ok(number) if number != PersonId::SOMEBODY && is_number(text) => Ok(Self::Number(number)),
             _ => check_name(text).map(|()| Self::Name(text.to_owned())).map_err(TextError),
         }
-    }
-}
-
-impl Serialize for Who {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        self.json().serialize(serializer)
     }
 }
 
@@ -169,18 +146,19 @@ pub struct Line {
 /// # Errors
 /// A line that is too long, or not UTF-8.
 pub fn text_of(bytes: &[u8], is_first: bool) -> Result<Option<&str>, TextError> {
+    let text = std::str::from_utf8(bytes).ok().filter(|_| bytes.len() as u64 <= LINE_BYTES_MAX);
     let no_line = || TextError(format!("not a line of UTF-8 with at most {LINE_BYTES_MAX} bytes"));
-    if bytes.len() as u64 > LINE_BYTES_MAX {
-        return Err(no_line());
-    }
-    let text = std::str::from_utf8(bytes).map_err(|_| no_line())?;
+    let text = text.ok_or_else(no_line)?;
     let text = if is_first { without_mark(text) } else { text };
     Ok(Some(text).filter(|text| !text.trim().is_empty()))
 }
 
+/// The keys of a line of JSON.
+const KEYS: &str =
+    "text kind presence room person count observed_unix_s sensor id on beyond hold_s false_alarms_per_day only_on";
+
 /// A line of JSON. What its keys may hold is checked key by key, so that an error names the key.
 #[derive(Debug, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
 struct JsonLine {
     text: Option<Value>,
     kind: Option<Value>,
@@ -189,47 +167,30 @@ struct JsonLine {
     person: Option<Value>,
     count: Option<Value>,
     observed_unix_s: Option<Value>,
-    sensor: Option<Value>,
-    id: Option<Value>,
-    beyond: Option<Value>,
-    #[serde(default, deserialize_with = "given")]
-    on: Option<Value>,
-    hold_s: Option<Value>,
-    false_alarms_per_day: Option<Value>,
-    only_on: Option<Value>,
-}
-
-/// A key that may be null, which differs from a key that is not there.
-fn given<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Value>, D::Error> {
-    Value::deserialize(deserializer).map(Some)
+    #[serde(flatten)]
+    of_sensor: serde_json::Map<String, Value>,
 }
 
 impl JsonLine {
     /// The report of a line with the key `sensor`.
     fn sensor(&mut self) -> Result<Option<Event>, TextError> {
-        let own = [
-            ("id", &mut self.id),
-            ("beyond", &mut self.beyond),
-            ("on", &mut self.on),
-            ("hold_s", &mut self.hold_s),
-            ("false_alarms_per_day", &mut self.false_alarms_per_day),
-            ("only_on", &mut self.only_on),
-        ];
-        let keys = own.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value.take()?)));
-        let mut keys: serde_json::Map<String, Value> = keys.collect();
-        let Some(kind) = self.sensor.take() else {
-            return match keys.keys().next() {
-                Some(key) => reason(&format!("\"{key}\" goes with \"sensor\"; give \"sensor\" or leave it out")),
-                None => Ok(None),
-            };
-        };
+        let mut keys = std::mem::take(&mut self.of_sensor);
+        if let Some(key) = keys.keys().find(|key| !KEYS.split(' ').any(|known| known == *key)) {
+            let known = KEYS.replace(' ', "`, `");
+            let error = format!("unknown field `{key}`, expected one of `{known}`");
+            return reason(&json_of_one_line_says(&serde_json::Error::custom(error)));
+        }
+        if !keys.contains_key("sensor") {
+            let stray = keys.keys().next();
+            let fault = |key| reason(&format!("\"{key}\" goes with \"sensor\"; give \"sensor\" or leave it out"));
+            return stray.map_or(Ok(None), fault);
+        }
         if self.text.is_some() || self.presence.is_some() || self.kind.is_some() || self.count.is_some() {
             return reason("\"sensor\" excludes \"text\", \"kind\", \"presence\" and \"count\"; send two lines");
         }
         if !keys.contains_key("on") {
             return reason("\"sensor\" needs \"on\": true, false, or null if the device is unavailable");
         }
-        keys.insert("sensor".to_owned(), kind);
         keys.extend(self.room.take().map(|room| ("room".to_owned(), room)));
         let report = SensorReport::parse(&Value::Object(keys).to_string()).or_else(|fault| reason(&fault))?;
         Ok(Some(Event::Sensor(report.into())))
@@ -260,7 +221,11 @@ impl Line {
     fn of_json(line: &str, person: &Who) -> Result<Self, TextError> {
         let mut json: JsonLine = serde_json::from_str(line).or_else(|error| reason(&json_of_one_line_says(&error)))?;
         let sensor = json.sensor()?;
-        let of_key = |key, value: &Option<Value>| value.as_ref().map(|value| string(key, value)).transpose();
+        let of_key = |key, value: &Option<Value>| match value {
+            Some(Value::String(text)) => Ok(Some(text.clone())),
+            Some(value) => key_error(key, value, "a text"),
+            None => Ok(None),
+        };
         let (text, presence) = (of_key("text", &json.text)?, of_key("presence", &json.presence)?);
         let room = of_key("room", &json.room)?;
         let (kind, text) = match (sensor, text, presence) {
@@ -305,10 +270,9 @@ impl Line {
     pub fn observed_by(self, now_unix_ns: UnixNs) -> Result<Self, TextError> {
         let ahead_ns = self.observed_unix_ns.map_or(0, |observed_ns| observed_ns.since(now_unix_ns));
         if ahead_ns > AHEAD_NS {
+            let (ahead_s, most_s) = (ahead_ns as f64 / 1e9, AHEAD_NS / 1_000_000_000);
             return reason(&format!(
-                "\"observed_unix_s\" lies {:.0} s ahead, at most {} s are allowed: set the clock of the machine that gives it (NTP), or leave the key out for now",
-                ahead_ns as f64 / 1e9,
-                AHEAD_NS / 1_000_000_000
+                "\"observed_unix_s\" lies {ahead_s:.0} s ahead, at most {most_s} s are allowed: set the clock of the machine that gives it (NTP), or leave the key out for now"
             ));
         }
         Ok(self)
@@ -343,8 +307,7 @@ fn statement(presence: &str, room: Option<&str>) -> Result<Event, TextError> {
         ("present", room) => Ok(Event::Present(room)),
         ("empty", Some(room)) => Ok(Event::Empty(room)),
         ("empty", None) => reason("\"presence\": \"empty\" needs a \"room\""),
-        ("away", None) => Ok(Event::Away),
-        ("gone", None) => Ok(Event::Gone),
+        ("away" | "gone", None) => Event::presence(presence),
         ("away" | "gone", Some(_)) => {
             reason("\"room\" goes with \"presence\": \"present\" or \"empty\" alone; leave one of them out")
         }
@@ -358,10 +321,6 @@ fn unix_ns(value: &Value) -> Result<UnixNs, TextError> {
         Some(seconds) if (1.0..=1.7e10).contains(&seconds) => Ok(UnixNs((seconds * 1e9) as u64)),
         _ => key_error("observed_unix_s", value, "seconds since 1970, as in 1709280900.5, or leave it out for now"),
     }
-}
-
-fn string(key: &str, value: &Value) -> Result<String, TextError> {
-    value.as_str().map_or_else(|| key_error(key, value, "a text"), |text| Ok(text.to_owned()))
 }
 
 fn key_error<T>(key: &str, value: &Value, allowed: &str) -> Result<T, TextError> {
@@ -414,45 +373,36 @@ mod tests {
 
     #[test]
     fn an_error_names_the_key_and_what_is_allowed() {
-        for (json, part) in [
-            (
-                "{\"txt\": \"a\"}",
-                "unknown key `txt` (did you mean `text`?), expected one of `text`, `kind`, `presence`, `room`, `person`",
-            ),
-            ("{\"text\": \"They sit.\"", "at column 20"),
-            ("{}", "give \"text\", \"presence\" or \"sensor\""),
-            (r#"{"text": 3}"#, "\"text\" is 3; give a text"),
-            (r#"{"text": "They sit.", "kind": "word"}"#, "\"kind\" is \"word\"; give \"sentence\", \"action\","),
-            (r#"{"text": "They sit.", "presence": "away"}"#, "\"text\" and \"presence\" exclude each other"),
-            (r#"{"text": "[Walk] <hall> (1)", "room": "hall"}"#, "\"room\" goes with a sentence"),
-            (r#"{"text": "They sit.", "room": ""}"#, "is no presence"),
-            (
-                r#"{"presence": "away", "room": "hall"}"#,
-                "\"room\" goes with \"presence\": \"present\" or \"empty\" alone",
-            ),
-            (r#"{"presence": "present", "room": 3}"#, "\"room\" is 3; give a text"),
-            (
-                r#"{"presence": "asleep"}"#,
-                "\"presence\" is \"asleep\"; give \"present\", \"away\", \"gone\" or \"empty\"",
-            ),
-            (r#"{"presence": "empty"}"#, "\"presence\": \"empty\" needs a \"room\""),
-            (r#"{"presence": "empty", "room": "hall", "person": "ada"}"#, "has no person; leave \"person\" out"),
-            (r#"{"text": "They sit.", "count": 0}"#, "\"count\" is 0; give a number of persons from 1 to 8"),
-            (r#"{"text": "They sit.", "count": 2, "person": "ada"}"#, "\"count\" counts unknown persons"),
-            (r#"{"sensor": "motion", "id": "a", "room": "hall"}"#, "\"sensor\" needs \"on\""),
-            (r#"{"sensor": "motion", "id": "a", "on": true}"#, "needs the \"room\""),
-            (r#"{"sensor": "motion", "id": "a", "room": "hall", "on": true, "text": "a"}"#, "\"sensor\" excludes"),
-            (r#"{"text": "They sit.", "on": true}"#, "\"on\" goes with \"sensor\""),
-            (r#"{"presence": "away", "kind": "sentence"}"#, "\"kind\" goes with \"text\""),
-            (r#"{"text": "They sit.", "person": -1}"#, "\"person\": `-1` is no person"),
-            (r#"{"text": "They sit.", "person": 4294967295}"#, "number from 0 to 4294967294, or a name"),
-            (r#"{"text": "They sit.", "person": 1.5}"#, "\"person\": `1.5` is no person"),
-            (r#"{"text": "They sit.", "person": ""}"#, "\"person\": \"\" is no name"),
-            (r#"{"text": "They sit.", "person": "-3"}"#, "\"person\": \"-3\" is a number"),
-            (r#"{"text": "They sit.", "observed_unix_s": "noon"}"#, "\"observed_unix_s\" is \"noon\"; give seconds"),
-            ("null", "a line of JSON is an object"),
-            (r#""They sit.""#, "a sentence stands without quotes"),
-        ] {
+        const REFUSED: &str = r#"
+            {"txt": "a"} => unknown key `txt` (did you mean `text`?), expected one of `text`, `kind`, `presence`, `room`, `person`
+            {"text": "They sit." => at column 20
+            {} => give "text", "presence" or "sensor"
+            {"text": 3} => "text" is 3; give a text
+            {"text": "They sit.", "kind": "word"} => "kind" is "word"; give "sentence", "action",
+            {"text": "They sit.", "presence": "away"} => "text" and "presence" exclude each other
+            {"text": "[Walk] <hall> (1)", "room": "hall"} => "room" goes with a sentence
+            {"text": "They sit.", "room": ""} => is no presence
+            {"presence": "away", "room": "hall"} => "room" goes with "presence": "present" or "empty" alone
+            {"presence": "present", "room": 3} => "room" is 3; give a text
+            {"presence": "asleep"} => "presence" is "asleep"; give "present", "away", "gone" or "empty"
+            {"presence": "empty"} => "presence": "empty" needs a "room"
+            {"presence": "empty", "room": "hall", "person": "ada"} => has no person; leave "person" out
+            {"text": "They sit.", "count": 0} => "count" is 0; give a number of persons from 1 to 8
+            {"text": "They sit.", "count": 2, "person": "ada"} => "count" counts unknown persons
+            {"sensor": "motion", "id": "a", "room": "hall"} => "sensor" needs "on"
+            {"sensor": "motion", "id": "a", "on": true} => needs the "room"
+            {"sensor": "motion", "id": "a", "room": "hall", "on": true, "text": "a"} => "sensor" excludes
+            {"text": "They sit.", "on": true} => "on" goes with "sensor"
+            {"presence": "away", "kind": "sentence"} => "kind" goes with "text"
+            {"text": "They sit.", "person": -1} => "person": `-1` is no person
+            {"text": "They sit.", "person": 4294967295} => number from 0 to 4294967294, or a name
+            {"text": "They sit.", "person": 1.5} => "person": `1.5` is no person
+            {"text": "They sit.", "person": ""} => "person": "" is no name
+            {"text": "They sit.", "person": "-3"} => "person": "-3" is a number
+            {"text": "They sit.", "observed_unix_s": "noon"} => "observed_unix_s" is "noon"; give seconds
+            null => a line of JSON is an object
+            "They sit." => a sentence stands without quotes"#;
+        for (json, part) in REFUSED.trim().lines().map(|row| row.split_once(" => ").unwrap()) {
             let error = item(json).unwrap_err().to_string();
             assert!(error.contains(part), "{json}: {error}");
             let manual = error.contains("docs/json-lines.md") || error.contains("is no presence");
@@ -475,8 +425,7 @@ mod tests {
         for line in &examples {
             item(line).unwrap_or_else(|error| panic!("{line}: {error}"));
         }
-        let keys = "text kind presence room person count observed_unix_s sensor id on beyond hold_s false_alarms_per_day only_on";
-        for key in keys.split(' ') {
+        for key in KEYS.split(' ') {
             assert!(examples.iter().any(|line| line.contains(&format!("\"{key}\":"))), "{key}");
         }
         // Reports are another command's, which refuses narration as this one refuses them.
@@ -484,7 +433,7 @@ mod tests {
         assert_eq!(reports.len(), 12);
         for line in reports {
             serde_json::from_str::<serde_json::Map<String, Value>>(line).unwrap();
-            assert!(item(line).unwrap_err().to_string().contains("unknown key `report`"), "{line}");
+            assert!(item(line).unwrap_err().to_string().contains("unknown key `"), "{line}");
         }
     }
 
@@ -500,12 +449,8 @@ mod tests {
 
     #[test]
     fn who_it_is_goes_through_json() {
-        for (who, json) in [
-            (Who::Somebody, "null"),
-            (Who::Number(PersonId(7)), "7"),
-            (Who::Name("Ada".to_owned()), "\"Ada\""),
-            (Who::Number(PersonId(7)), "\" 7\""),
-        ] {
+        let name = Who::Name("Ada".to_owned());
+        for (who, json) in [(Who::Somebody, "null"), (Who::Number(PersonId(7)), "\" 7\""), (name, "\"Ada\"")] {
             assert_eq!(serde_json::from_str::<Who>(json).unwrap(), who, "{json}");
             assert_eq!(serde_json::from_value::<Who>(serde_json::to_value(&who).unwrap()).unwrap(), who);
         }

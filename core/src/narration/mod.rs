@@ -1,7 +1,5 @@
-//! Narration: what a person has just done, as one sentence per observation, and the window of it that a prompt holds.
-//!
-//! Three kinds of observation become sentences: atomic actions in VirtualHome's notation ([`Action`]), device states
-//! ([`device_state`]) and plain sentences of any captioning source ([`Sentence`]). An action is observed when it is complete.
+//! Narration: what a person has just done, as one sentence per observation, and the window of it that a prompt holds. Actions in VirtualHome's
+//! notation ([`Action`]), device states ([`device_state`]) and plain sentences of any captioning source become a [`Sentence`].
 
 use std::fmt;
 use std::sync::Arc;
@@ -71,21 +69,12 @@ impl Sentence {
                 "the sentence holds no letter or digit: say what was observed, such as `They open the fridge.`",
             );
         }
-        let mut sentence = String::with_capacity(text.len() + 1);
-        for word in text.split_whitespace() {
-            if sentence.is_empty() {
-                let mut letters = word.chars();
-                sentence.extend(letters.next().into_iter().flat_map(char::to_uppercase));
-                sentence.push_str(letters.as_str());
-            } else {
-                sentence.push(' ');
-                sentence.push_str(word);
-            }
-        }
+        let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        let mut letters = text.chars();
+        let mut sentence: String = letters.next().into_iter().flat_map(char::to_uppercase).collect();
+        sentence.push_str(letters.as_str());
         if !sentence.ends_with(['.', '!', '?']) {
-            while sentence.ends_with([',', ';', ':', ' ']) {
-                sentence.pop();
-            }
+            sentence.truncate(sentence.trim_end_matches([',', ';', ':', ' ']).len());
             sentence.push('.');
         }
         match sentence.len() {
@@ -118,7 +107,7 @@ pub fn device_state(text: &str) -> Option<(&str, &str)> {
 }
 
 /// One event with person, narrator and times.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Observation {
     /// The person; [`PersonId::SOMEBODY`] until the event is attributed.
     pub person: PersonId,
@@ -154,20 +143,9 @@ impl Observation {
     /// An observation of any event, without narrator and time.
     #[must_use]
     pub fn saying(sequence: u64, event: Event) -> Self {
-        let (person, name, by_fit, count) = (PersonId(0), None, false, 0);
-        Self {
-            person,
-            name,
-            by_fit,
-            source: 0,
-            epoch: 0,
-            sequence,
-            observed_ns: BootNs(0),
-            observed_unix_ns: UnixNs(0),
-            count,
-            may_be_form: true,
-            event,
-        }
+        let (person, name, by_fit, count, may_be_form) = (PersonId(0), None, false, 0, true);
+        let (source, epoch, observed_ns, observed_unix_ns) = (0, 0, BootNs(0), UnixNs(0));
+        Self { person, name, by_fit, source, epoch, sequence, observed_ns, observed_unix_ns, count, may_be_form, event }
     }
 
     /// The narrator, its start, and the number of the event.
@@ -182,25 +160,23 @@ impl Observation {
         self.event.sentence().map(Sentence::as_str)
     }
 
-    /// Seconds from `earlier` to this observation by the clock that both have, the monotonic one first; none where there is none, 0 where
-    /// they come in the other order. Where the monotonic clock goes back and the wall clock does not, the machine was started between them.
+    /// Seconds from `earlier` to this observation by a clock that both have, the monotonic one first; `None` if there is none, 0 if the order is the
+    /// other one. If only the monotonic clock goes back, the machine was started in between.
     #[must_use]
     pub(crate) fn seconds_after(&self, earlier: &Self) -> Option<f64> {
         let between = |from_ns: u64, to_ns: u64| (from_ns > 0 && to_ns > 0).then(|| to_ns.checked_sub(from_ns));
-        let monotonic = between(earlier.observed_ns.0, self.observed_ns.0);
-        let unix = between(earlier.observed_unix_ns.0, self.observed_unix_ns.0);
-        let nanoseconds = match (monotonic, unix) {
-            (Some(Some(after)), _) | (Some(None) | None, Some(Some(after))) => after,
-            (None, None) => return None,
-            _ => 0,
-        };
-        Some(nanoseconds as f64 / 1e9)
+        let clocks = [
+            between(earlier.observed_ns.0, self.observed_ns.0),
+            between(earlier.observed_unix_ns.0, self.observed_unix_ns.0),
+        ];
+        let known = clocks.into_iter().flatten();
+        let after = known.clone().flatten().next().or(known.clone().next().map(|_| 0));
+        after.map(|nanoseconds| nanoseconds as f64 / 1e9)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::line::Kind;
     use super::*;
     use proptest::prelude::*;
 
@@ -219,16 +195,6 @@ mod tests {
         ] {
             assert!(normal(text).unwrap_err().0.contains(part), "{text}");
         }
-    }
-
-    #[test]
-    fn every_kind_of_line_becomes_a_sentence() {
-        let sentence = |line: &str| Kind::of(line).event(line).unwrap().to_string();
-        assert_eq!(sentence("[Walk] <washing_machine> (1)"), "They walk to the washing machine.");
-        assert_eq!(sentence("the oven is on"), "The oven is on.");
-        assert_eq!(sentence("Somebody sings"), "Somebody sings.");
-        assert_eq!(Kind::of("the oven is on"), Kind::Device);
-        Kind::of("[Fly] <mug> (1)").event("[Fly] <mug> (1)").unwrap_err();
     }
 
     proptest! {

@@ -1,7 +1,9 @@
 //! A sensor's report: a device, the room it sees, and its state. No person reads it; the filter of `tracker/` weighs it.
 
 use std::fmt;
-use std::hash::{Hash, Hasher};
+
+use serde::{Deserialize, Serialize};
+use strum::{Display, EnumString};
 
 use super::RoomName;
 use crate::text::is_hidden;
@@ -10,20 +12,7 @@ use crate::text::is_hidden;
 pub const SENSOR_ID_BYTES_MAX: usize = 128;
 
 /// What kind of device a sensor is. It chooses the default rates.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    PartialOrd,
-    Ord,
-    Hash,
-    strum::EnumString,
-    strum::Display,
-    serde::Serialize,
-    serde::Deserialize,
-)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, EnumString, Display, Serialize, Deserialize)]
 #[strum(serialize_all = "kebab-case")]
 #[serde(rename_all = "kebab-case")]
 pub enum SensorKind {
@@ -44,7 +33,7 @@ pub enum SensorKind {
 }
 
 /// The state of a sensor, and what the filter needs to know of the device. The person of a bed or a phone is the person of the event.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SensorReport {
     /// The kind of device.
@@ -75,12 +64,6 @@ pub struct SensorReport {
 // The numbers are finite: `check` says so.
 impl Eq for SensorReport {}
 
-impl Hash for SensorReport {
-    fn hash<H: Hasher>(&self, state: &mut H) {
-        (&self.id, self.on).hash(state);
-    }
-}
-
 impl SensorReport {
     /// Reads the JSON object that [`fmt::Display`] writes.
     ///
@@ -108,12 +91,12 @@ impl SensorReport {
             (SensorKind::Door, ..) | (_, _, None) => {}
             (_, _, Some(_)) => return Err("\"beyond\" goes with sensor \"door\" alone".to_owned()),
         }
-        let in_range = |value: Option<f64>, most: f64| value.is_none_or(|value| (0.0..=most).contains(&value));
-        if !in_range(self.hold_s, 86_400.0) {
-            return Err("\"hold_s\" is out of range: give 0 to 86400 seconds".to_owned());
-        }
-        if !in_range(self.false_alarms_per_day, 10_000.0) {
-            return Err("\"false_alarms_per_day\" is out of range: give 0 to 10000".to_owned());
+        for (key, value, most) in
+            [("hold_s", self.hold_s, 86_400.0), ("false_alarms_per_day", self.false_alarms_per_day, 10_000.0)]
+        {
+            if value.is_some_and(|value| !(0.0..=most).contains(&value)) {
+                return Err(format!("\"{key}\" is out of range: give 0 to {most}"));
+            }
         }
         Ok(())
     }

@@ -77,7 +77,7 @@ pub(super) fn answer_about_person<M: LanguageModel>(
     asked: Result<PersonQuestion, String>,
 ) -> PersonAnswer {
     let find = |engine: &Engine<M>, who: &str| {
-        engine.persons().find(who).ok_or_else(|| match engine.persons().is_awaited(who) {
+        engine.persons().find(who).ok_or_else(|| match engine.persons().is_resident(engine.persons().meant(who)) {
             true => format!(
                 "no report has told of the resident {who:?} yet: an event with this name does, such as an action, a presence, or the person's phone or bed sensor"
             ),
@@ -151,7 +151,7 @@ fn forget<M: LanguageModel>(
     // Observations in a window are already attributed.
     engine.forget(person, |observation| is_theirs(observation, Some(observation.person)));
     let until = Instant::now() + FORGET_PATIENCE;
-    let in_file = engine.persons_mut().file_mut().remove(person);
+    let in_file = engine.persons_mut().file.set(person, None);
     let in_journal = journal.map_or(Ok(0), |journal| journal.forget(person, is_theirs, until));
     let records = match &in_journal {
         Ok(records) => *records,

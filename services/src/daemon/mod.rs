@@ -66,7 +66,6 @@ mod prefetch_thread;
 mod receiver;
 mod scoring;
 mod sleep;
-mod understood;
 mod zone;
 
 pub use asked::{ANSWERS_REMEMBERED, QUESTION_NAME_BYTES_MAX};
@@ -78,13 +77,12 @@ pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_
 pub use journal::{HabitRows, Journal, JournalError, JournalHandle, JournalOptions, KeptPerson, Recovered};
 pub use map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 pub use person_question::{
-    NoisySensor, PersonAnswer, PersonLine, PersonQuestion, PlaceLine, UnderstoodLine, UnderstoodPerson, Whereabouts,
-    WhyLine,
+    By, NoisySensor, PersonAnswer, PersonLine, PersonQuestion, PlaceLine, UNDERSTOOD_MAX, UnderstoodLine,
+    UnderstoodPerson, Whereabouts, WhyLine,
 };
 pub use persons::{NotRenamed, Persons, flag_words};
 pub use persons_file::PersonsFile;
 pub use prefetch::{Now, Prefetcher};
-pub use understood::{By, UNDERSTOOD_MAX};
 pub use zone::{NoZone, Zone};
 
 /// How often the main thread checks the other threads.

@@ -5,7 +5,9 @@ use roomcast_core::narration::Presence;
 use serde::{Deserialize, Serialize};
 
 use super::asked::{Answer, Question};
-use super::understood::By;
+
+/// Events whose understanding the daemon remembers; the oldest goes first.
+pub const UNDERSTOOD_MAX: usize = 512;
 
 /// A question. A change has a unique name; the same name gets the same answer, without a second change.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,10 +49,7 @@ pub enum PersonQuestion {
 
 impl Question for PersonQuestion {
     fn id(&self) -> Option<&str> {
-        match self {
-            Self::List | Self::Understood { .. } | Self::Where { .. } => None,
-            Self::Forget { id, .. } | Self::Rename { id, .. } => Some(id),
-        }
+        if let Self::Forget { id, .. } | Self::Rename { id, .. } = self { Some(id) } else { None }
     }
 }
 
@@ -167,6 +166,21 @@ pub struct UnderstoodPerson {
     /// The name, if the person has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
+}
+
+/// How an event found its persons.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum By {
+    /// The key of the event.
+    #[default]
+    Key,
+    /// A known name at the start of the text.
+    Name,
+    /// The joint filter found them, or the home has one person.
+    Fit,
+    /// The event is about the house or a room.
+    House,
 }
 
 /// One event as the daemon understood it.

@@ -8,8 +8,7 @@ use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::{
     Event, Observation, PERSONS_MAX, Presence, Quota, ReadName, check_name, is_number, name_words,
 };
-use roomcast_ipc::raw::{NAME_BYTES, person_flags};
-use roomcast_ipc::text;
+use roomcast_ipc::raw::person_flags;
 
 use super::journal::KeptPerson;
 use super::person_question::PersonLine;
@@ -25,42 +24,27 @@ pub(super) const LATE_NS: i64 = 60_000_000_000;
 /// Times of one source may be out of order by this much: clock errors and delays on the way.
 const ORDER_NS: i64 = 100_000_000;
 
-#[derive(Debug, Clone, PartialEq)]
-struct Name {
-    said: Box<str>,
-    read: ReadName,
-}
-
-impl Name {
-    fn new(said: &str) -> Self {
-        Self { said: said.into(), read: ReadName::new(said) }
-    }
-}
-
 pub(super) use called::Called;
 
 mod called;
 
 /// A known person, without history and forecast.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Default, Clone, PartialEq)]
 pub(super) struct Known {
-    /// As narrators write it.
-    name: Option<Name>,
+    name: Option<ReadName>,
     pub(super) presence: Presence,
-    /// The start of this presence.
     pub(super) since_ns: i64,
     /// The newest time of an event.
     pub(super) heard_ns: i64,
     /// The time of the newest action; `i64::MIN` before the first.
     pub(super) did_ns: i64,
-    /// The newest event: source, epoch, sequence.
     pub(super) last: EventId,
     /// The time of `last`, which may be late.
     last_ns: i64,
     /// The quota of the narrator that reported the person first.
     quota: u64,
-    /// The newest report by a guarded narrator; `i64::MIN` before the first.
-    guarded_ns: i64,
+    /// The newest report by a named narrator.
+    guarded_ns: Option<i64>,
     /// The person was found by fit, without key or name.
     by_fit: bool,
     /// The person lies in bed or sleeps, as far as actions and bed sensors tell.
@@ -72,12 +56,8 @@ pub(super) struct Known {
 }
 
 impl Known {
-    fn is_trusted(&self) -> bool {
-        self.guarded_ns > i64::MIN
-    }
-
-    fn is_asleep(&self, asleep_ns: i64, now_ns: i64) -> bool {
-        self.presence == Presence::Present && self.on_bed && now_ns - self.heard_ns > asleep_ns
+    fn is_on_bed(&self) -> bool {
+        self.presence == Presence::Present && self.on_bed
     }
 }
 
@@ -98,7 +78,7 @@ pub struct Persons {
     config: PersonsConfig,
     residents: Vec<ReadName>,
     not_persons: Vec<ReadName>,
-    file: PersonsFile,
+    pub(super) file: PersonsFile,
     known: BTreeMap<PersonId, Known>,
 }
 
@@ -124,66 +104,50 @@ impl Persons {
         self.known.get_mut(&number)
     }
 
-    /// The number of a name: the number that the home gave it, or the number of the name itself.
+    /// The number of a name: of the person that the home knows by it, or the number of the name itself.
     #[must_use]
     pub fn number_of(&self, name: &str) -> PersonId {
         self.number_of_read(&ReadName::new(name))
     }
 
     fn number_of_read(&self, name: &ReadName) -> PersonId {
-        self.known_number(name).unwrap_or_else(|| self.own_number(name))
-    }
-
-    /// The number that the home gave to a name, or the number of the name itself.
-    fn own_number(&self, name: &ReadName) -> PersonId {
-        self.file.given_number(name).unwrap_or_else(|| name.number())
+        self.known_number(name).unwrap_or(name.number)
     }
 
     /// The number of a name that the home knows. "Zoe" is Zoë if no other name differs by accents or signs only.
     fn known_number(&self, name: &ReadName) -> Option<PersonId> {
-        let number = self.own_number(name);
-        if self.is_number_named(number) || self.lives_here(name) {
-            return Some(number);
-        }
-        self.only_number_where(|known| known.may_be_one(name))
+        let same = self.names().find(|(_, own)| own.whole == name.whole).map(|(number, _)| number);
+        same.or_else(|| self.only_number_where(|own| own.may_be_one(name)))
     }
 
-    fn is_number_named(&self, number: PersonId) -> bool {
-        self.known.get(&number).is_some_and(|known| known.name.is_some()) || self.file.of_number(number).is_some()
-    }
-
-    fn lives_here(&self, name: &ReadName) -> bool {
-        self.residents.iter().any(|resident| resident.whole() == name.whole())
+    /// The names that the home gave, those of residents as the configuration spells them, and those from keyed events.
+    fn names(&self) -> impl Iterator<Item = (PersonId, &ReadName)> {
+        let known = self.known.iter().filter_map(|(number, known)| Some((*number, known.name.as_ref()?)));
+        let residents = self.residents.iter().filter(|read| read.said.parse::<u32>().is_err());
+        self.file.names().chain(residents.map(|read| (read.number, read))).chain(known)
     }
 
     /// The number of all names for which `is_such` holds, if they have the same one.
     fn only_number_where(&self, is_such: impl Fn(&ReadName) -> bool) -> Option<PersonId> {
         // A name that the home gave to a person has that person's number.
-        let number = |read: &ReadName, own: PersonId| self.file.given_number(read).unwrap_or(own);
-        let named = self.known.iter().filter_map(|(own, known)| Some((*own, &known.name.as_ref()?.read)));
-        let residents = self.residents.iter().map(|read| (read.number(), read));
-        let all = named.chain(self.file.newest()).chain(residents);
-        let mut numbers = all.filter(|(_, read)| is_such(read)).map(|(own, read)| number(read, own));
+        let number = |(own, read): (PersonId, &ReadName)| self.file.given_number(read).unwrap_or(own);
+        let mut numbers = self.names().filter(|(_, read)| is_such(read)).map(number);
         numbers.next().filter(|first| numbers.all(|other| other == *first))
     }
 
-    /// The number of a name that the home knows: a resident, a given name, a name from a keyed event, or the first name of one person only.
-    pub(super) fn called(&self, name: &str) -> Option<PersonId> {
-        let read = ReadName::new(name);
-        self.known_number(&read).or_else(|| self.only_number_where(|known| known.first() == Some(read.letters())))
-    }
-
-    /// Whether the home knows a name.
+    /// The number of a name that the home knows, or of the first name of one person only.
     #[must_use]
-    pub fn is_name(&self, name: &str) -> bool {
-        self.called(name).is_some()
+    pub fn called(&self, name: &str) -> Option<PersonId> {
+        let read = ReadName::new(name);
+        let is_first = |known: &ReadName| known.first.as_ref() == Some(&read.letters);
+        self.known_number(&read).or_else(|| self.only_number_where(is_first))
     }
 
     /// The known person at the start of a text, in whole words; the longest name counts.
     pub(super) fn at_start<'a>(&self, text: &'a str) -> Option<(PersonId, &'a str)> {
         const WORDS_MAX: usize = 4;
         // Nearly all texts; these checks allocate nothing.
-        if text.starts_with("They ") || self.all_names().next().is_none() {
+        if text.starts_with("They ") || self.names().next().is_none() {
             return None;
         }
         let is_end = |c: char| c.is_whitespace() || matches!(c, ',' | ':');
@@ -197,52 +161,34 @@ impl Persons {
     /// Whether a text begins with a name from `persons.not_persons`, as of a robot or a pet.
     #[must_use]
     pub fn begins_with_no_person(&self, text: &str) -> bool {
-        if self.not_persons.is_empty() {
-            return false;
-        }
-        let words = name_words(text);
-        self.not_persons.iter().any(|name| {
-            let name: Vec<&str> = name.letters().split(' ').collect();
-            let skips_the = usize::from(words.first().is_some_and(|word| word == "the"));
-            !name.is_empty() && words[skips_the..].iter().take(name.len()).eq(name.iter())
-        })
+        let words = if self.not_persons.is_empty() { String::new() } else { name_words(text).join(" ") + " " };
+        let words = words.strip_prefix("the ").unwrap_or(&words);
+        self.not_persons.iter().any(|name| words.starts_with(&format!("{} ", name.letters)))
     }
 
     /// A person's name; `None` for a person known by number only.
     #[must_use]
     pub fn name_of(&self, number: PersonId) -> Option<&str> {
-        let told = || Some(&*self.known.get(&number)?.name.as_ref()?.said);
-        let is_listed =
-            |(who, read): &(&String, &ReadName)| who.parse::<u32>().is_err() && self.number_of_read(read) == number;
-        let listed = || self.listed().find(is_listed).map(|(who, _)| who.as_str());
-        self.file.of_number(number).map(|kept| kept.name.as_str()).or_else(told).or_else(listed)
+        self.names().find(|(own, _)| *own == number).map(|(_, read)| &*read.said)
     }
 
     /// Whether a person is a visitor. Without a list of residents each person is a resident.
     #[must_use]
     pub fn is_visitor(&self, number: PersonId) -> bool {
-        // A renamed resident is still a resident.
-        let is_numbered = || self.residents().any(|resident| resident == number);
-        let is_listed = || {
-            let name = self.name_of(number).map(ReadName::new);
-            self.residents.iter().any(|read| name.as_ref().is_some_and(|name| name.whole() == read.whole()))
-        };
-        let by_list = || !self.residents.is_empty() && !is_numbered() && !is_listed();
-        let kept = self.file.of_number(number).and_then(|kept| kept.resident);
-        kept.map_or_else(by_list, |resident| !resident)
+        let by_list = || !self.residents.is_empty() && !self.is_resident(number);
+        self.file.of_number(number).and_then(|kept| kept.resident).map_or_else(by_list, |resident| !resident)
     }
 
-    /// The residents of the configuration, as written and as read.
-    fn listed(&self) -> impl Iterator<Item = (&String, &ReadName)> {
-        self.config.residents.iter().zip(&self.residents)
+    pub(super) fn is_resident(&self, number: PersonId) -> bool {
+        self.residents().any(|resident| resident == number)
     }
 
     /// The persons that an event without a name may be about. A named narrator follows only persons that named narrators reported, if there
     /// are any.
     fn candidates(&self, is_unknown: bool) -> impl Iterator<Item = (PersonId, &Known)> {
-        let is_all =
-            is_unknown || !self.known.values().any(|known| known.is_trusted() && known.presence != Presence::Gone);
-        self.iter().filter(move |(_, known)| (is_all || known.is_trusted()) && known.presence != Presence::Gone)
+        let here = || self.iter().filter(|(_, known)| known.presence != Presence::Gone);
+        let is_all = is_unknown || here().all(|(_, known)| known.guarded_ns.is_none());
+        here().filter(move |(_, known)| is_all || known.guarded_ns.is_some())
     }
 
     /// Each person in the house, and each resident: the persons that leave when everybody does.
@@ -254,25 +200,23 @@ impl Persons {
     /// Whether an event at `at_ns` is too late to count: a newer event contradicts its presence, or is a minute newer. A person that is gone may
     /// be back.
     pub(super) fn is_outdated(&self, observation: &Observation, at_ns: i64) -> bool {
-        let differs = |known: &Known| ![Presence::Gone, observation.event.person_presence()].contains(&known.presence);
-        let is_old = |known: &Known| at_ns.saturating_add(LATE_NS) < known.heard_ns && known.presence != Presence::Gone;
-        self.known
-            .get(&observation.person)
-            .is_some_and(|known| (at_ns < known.heard_ns && differs(known)) || is_old(known))
+        let known = self.known.get(&observation.person).filter(|known| known.presence != Presence::Gone);
+        known.is_some_and(|known| {
+            let differs = known.presence != observation.event.person_presence();
+            differs && at_ns < known.heard_ns || at_ns.saturating_add(LATE_NS) < known.heard_ns
+        })
     }
 
-    /// Whether an unknown narrator's event about a person at `at_ns` is ignored: a guarded narrator reported the person within `guard_s`.
-    pub(super) fn is_guarded(&self, number: PersonId, at_ns: i64) -> bool {
+    /// Whether an unknown narrator's event about a person, or about anybody, is ignored: a named narrator reported them within `guard_s`.
+    pub(super) fn is_guarded(&self, person: Option<PersonId>, at_ns: i64) -> bool {
         let guard_ns = (self.config.guard_s * 1e9) as i64;
-        guard_ns > 0 && self.known.get(&number).is_some_and(|known| at_ns <= known.guarded_ns.saturating_add(guard_ns))
-    }
-
-    pub(super) fn is_anybody_guarded(&self, at_ns: i64) -> bool {
-        self.known.keys().any(|number| self.is_guarded(*number, at_ns))
+        let is_guarded = |ns: i64| guard_ns > 0 && at_ns <= ns.saturating_add(guard_ns);
+        let own = self.iter().filter(|(number, _)| person.is_none_or(|person| person == *number));
+        own.filter_map(|(_, known)| known.guarded_ns).any(is_guarded)
     }
 
     pub(super) fn is_trusted(&self, number: PersonId) -> bool {
-        self.known.get(&number).is_some_and(Known::is_trusted)
+        self.known.get(&number).is_some_and(|known| known.guarded_ns.is_some())
     }
 
     /// The time of an event in the order of its source, although its clock rounds or the network delays.
@@ -284,14 +228,13 @@ impl Persons {
         if is_next && is_near { at_ns.max(known.last_ns) } else { at_ns }
     }
 
-    pub(super) fn guard(&mut self, number: PersonId, at_ns: i64) {
-        if let Some(known) = self.known.get_mut(&number) {
-            known.guarded_ns = known.guarded_ns.max(at_ns);
-        }
-    }
-
-    /// Takes in an event of a person at `at_ns`. Returns the person that is dropped, if there is one too many.
-    pub(super) fn note(&mut self, observation: &Observation, quota: Quota, at_ns: i64) -> Option<PersonId> {
+    /// Takes in an event of a person by a named narrator or an unknown one. Returns the person that is dropped, if there is one too many.
+    pub(super) fn note(
+        &mut self,
+        observation: &Observation,
+        (quota, is_named): (Quota, bool),
+        at_ns: i64,
+    ) -> Option<PersonId> {
         let number = observation.person;
         // A person that comes back starts afresh.
         if observation.event != Event::Gone && self.known.get(&number).is_some_and(|own| own.presence == Presence::Gone)
@@ -301,25 +244,12 @@ impl Persons {
         let is_full = self.known.len() >= PERSONS_MAX && !self.known.contains_key(&number);
         let dropped = if is_full { self.least_missed(quota.number) } else { None };
         dropped.map(|dropped| self.known.remove(&dropped));
-        let name = observation.name.as_deref().map(Name::new).map(|name| self.spelled(number, name));
-        let known = self.known.entry(number).or_insert_with(|| Known {
-            name: None,
-            presence: Presence::Unknown,
-            since_ns: at_ns,
-            heard_ns: at_ns,
-            did_ns: i64::MIN,
-            last: EventId::new(0, 0, 0),
-            last_ns: at_ns,
-            quota: quota.number,
-            guarded_ns: i64::MIN,
-            by_fit: false,
-            on_bed: false,
-            restored: false,
-            told: false,
-        });
-        if name.is_some() {
-            known.name = name;
-        }
+        let (did_ns, quota) = (i64::MIN, quota.number);
+        let new = || Known { did_ns, heard_ns: at_ns, since_ns: at_ns, quota, ..Known::default() };
+        let known = self.known.entry(number).or_insert_with(new);
+        // Of two spellings the first one counts.
+        known.name = known.name.take().or_else(|| observation.name.as_deref().map(ReadName::new));
+        known.guarded_ns = known.guarded_ns.max(is_named.then_some(at_ns));
         if observation.event.sentence().is_some() {
             known.did_ns = at_ns.max(known.did_ns);
         }
@@ -334,25 +264,6 @@ impl Persons {
         }
         known.on_bed &= presence == Presence::Present;
         dropped
-    }
-
-    /// The spelling of a person's name: a resident's as in the configuration, any other as its first narrator wrote it.
-    fn spelled(&self, number: PersonId, name: Name) -> Name {
-        let mut residents = self.listed();
-        let is_resident = |read: &ReadName| {
-            read.whole() == name.read.whole() || read.may_be_one(&name.read) && self.own_number(read) == number
-        };
-        if let Some((who, read)) = residents.find(|(_, read)| is_resident(read)) {
-            return Name { said: who.as_str().into(), read: read.clone() };
-        }
-        // Of two spellings the first one counts.
-        let known = self.known.get(&number).and_then(|known| known.name.as_ref());
-        known.filter(|known| known.read.may_be_one(&name.read)).cloned().unwrap_or(name)
-    }
-
-    /// A person on a bed is probably asleep after this silence.
-    fn asleep_ns(&self) -> i64 {
-        (self.config.asleep_s * 1e9) as i64
     }
 
     /// The person to drop for one more of `newcomer`: visitors before residents, then persons of the quota with most persons, then the longest
@@ -380,32 +291,23 @@ impl Persons {
     pub(super) fn has_expired(&self, number: PersonId, now_ns: i64) -> bool {
         let visitor_ns = (self.config.visitor_s * 1e9) as i64;
         let expires = |known: &Known| {
-            let sleeps = known.presence == Presence::Present && known.on_bed;
-            now_ns - known.heard_ns > if sleeps { visitor_ns.max(NIGHT_NS) } else { visitor_ns }
+            now_ns - known.heard_ns > if known.is_on_bed() { visitor_ns.max(NIGHT_NS) } else { visitor_ns }
         };
         self.known.get(&number).is_some_and(expires) && self.is_visitor(number)
     }
 
-    pub(super) fn nobody_is_home(&self) -> bool {
-        self.are_all_away() && !self.misses_residents()
-    }
-
-    /// Whether all known persons are away, and a resident was never observed.
-    pub(super) fn is_anybodys_guess(&self) -> bool {
-        self.are_all_away() && self.misses_residents()
-    }
-
-    fn are_all_away(&self) -> bool {
+    pub(super) fn are_all_away(&self) -> bool {
         let (known, present) = self.count();
         known > 0 && present == 0
     }
 
+    /// Whether a resident was never observed.
     pub(super) fn misses_residents(&self) -> bool {
         self.residents().any(|number| !self.known.contains_key(&number))
     }
 
     fn residents(&self) -> impl Iterator<Item = PersonId> {
-        self.listed().map(|(who, read)| who.parse().unwrap_or_else(|_| self.number_of_read(read)))
+        self.residents.iter().map(|read| read.said.parse().unwrap_or_else(|_| self.number_of_read(read)))
     }
 
     /// The next visitor that is gone by silence.
@@ -421,7 +323,6 @@ impl Persons {
     }
 
     /// The number of known persons, and of those in the house.
-    #[must_use]
     pub(super) fn count(&self) -> (usize, usize) {
         let of = |presence: Presence| self.known.values().filter(|known| known.presence == presence).count();
         (self.known.len() - of(Presence::Gone), of(Presence::Present))
@@ -433,10 +334,9 @@ impl Persons {
         let rank = |(number, known): (PersonId, &Known)| {
             (known.presence != Presence::Present, Reverse(known.heard_ns), number)
         };
-        let next = move |last: Option<_>| {
-            self.candidates(is_unknown).map(rank).filter(|own| last.as_ref().is_none_or(|last| own > last)).min()
-        };
-        let known = std::iter::successors(next(None), move |last| next(Some(*last))).map(|(.., number)| number);
+        let mut known: Vec<_> = self.candidates(is_unknown).map(rank).collect();
+        known.sort_unstable();
+        let known = known.into_iter().map(|(.., number)| number);
         let is_gone = |number: PersonId| self.known.get(&number).is_none_or(|known| known.presence == Presence::Gone);
         let invented = if self.residents.is_empty() { 2 * PERSONS_MAX as u32 } else { 0 };
         let further = self.residents().chain((0..invented).map(PersonId));
@@ -444,7 +344,7 @@ impl Persons {
     }
 
     pub(super) fn has_residents(&self) -> bool {
-        !self.config.residents.is_empty()
+        !self.residents.is_empty()
     }
 
     /// Whether two persons or more can have caused an unnamed event.
@@ -465,28 +365,11 @@ impl Persons {
         who.parse().ok().filter(|_| is_number(who)).unwrap_or_else(|| self.number_of(who))
     }
 
-    fn all_names(&self) -> impl Iterator<Item = &str> {
-        let kept = self.file.persons().iter().flat_map(KeptPerson::names);
-        let known = self.known.values().filter_map(|known| Some(&*known.name.as_ref()?.said));
-        kept.chain(known).chain(self.config.residents.iter().map(String::as_str))
-    }
-
-    pub(super) fn names_of(&self, number: PersonId) -> Vec<String> {
-        let kept = self.file.of_number(number).into_iter().flat_map(KeptPerson::names);
-        kept.chain(self.name_of(number)).map(str::to_lowercase).collect()
-    }
-
     /// The known person of a name or number.
     #[must_use]
     pub fn find(&self, who: &str) -> Option<PersonId> {
         let number = self.meant(who);
         (self.known.contains_key(&number) || self.file.of_number(number).is_some()).then_some(number)
-    }
-
-    /// Whether a name or number is a resident's without an event yet.
-    pub(super) fn is_awaited(&self, who: &str) -> bool {
-        let number = self.meant(who);
-        self.find(who).is_none() && self.residents().any(|resident| resident == number)
     }
 
     /// Gives a person a name that outlives restarts.
@@ -497,23 +380,22 @@ impl Persons {
         let name = name.trim();
         check_name(name).map_err(NotRenamed::Refused)?;
         let owner = self.number_of(name);
-        let known = self.known.contains_key(&owner) || self.file.of_number(owner).is_some();
-        if owner != number && known {
+        if owner != number && self.find(name).is_some() {
             let reason = format!("{name} is person {owner} already: forget that one first, or choose another name");
             return Err(NotRenamed::Refused(reason));
         }
         // One resident cannot take the name of another.
-        let is_resident = |number| self.residents().any(|resident| resident == number);
-        if owner != number && self.lives_here(&ReadName::new(name)) && is_resident(number) {
+        let lives_here = self.residents.iter().any(|resident| resident.whole == ReadName::new(name).whole);
+        if owner != number && lives_here && self.is_resident(number) {
             let own = self.name_of(number).unwrap_or("this person");
             let reason = format!("{name} and {own} both live here by persons.residents: choose another name");
             return Err(NotRenamed::Refused(reason));
         }
         // Narrators may go on with the old name.
         let own = || self.name_of(number).unwrap_or(name).to_owned();
-        let former = self.file.of_number(number).cloned();
-        let former = former.unwrap_or_else(|| KeptPerson { number, name: own(), resident: None, former: Vec::new() });
-        self.file.put(former.renamed(name)).map_err(|error| {
+        let new = || KeptPerson { number, name: own(), resident: None, former: Vec::new() };
+        let former = self.file.of_number(number).cloned().unwrap_or_else(new);
+        self.file.set(number, Some(former.renamed(name))).map_err(|error| {
             NotRenamed::Failed(format!("the persons file cannot be written: {error}; nothing was changed"))
         })
     }
@@ -521,10 +403,6 @@ impl Persons {
     /// The names that the home gave.
     pub fn file(&self) -> &PersonsFile {
         &self.file
-    }
-
-    pub(super) fn file_mut(&mut self) -> &mut PersonsFile {
-        &mut self.file
     }
 
     /// All persons that are known, have a given name, or are residents.
@@ -549,15 +427,14 @@ impl Persons {
 
     pub(super) fn flags(&self, number: PersonId, now_ns: i64) -> u32 {
         let Some(known) = self.known.get(&number) else { return 0 };
-        let flag = |holds: bool, flag: u32| if holds { flag } else { 0 };
-        flag(known.restored, person_flags::RESTORED)
-            | flag(known.is_asleep(self.asleep_ns(), now_ns), person_flags::ASLEEP)
-            | flag(known.by_fit, person_flags::BY_FIT)
-            | flag(self.is_visitor(number), person_flags::VISITOR)
-    }
-
-    pub(super) fn name_bytes(&self, number: PersonId) -> [u8; NAME_BYTES] {
-        text::encode_cut(self.name_of(number).unwrap_or_default())
+        let asleep_ns = (self.config.asleep_s * 1e9) as i64;
+        let flags = [
+            (known.restored, person_flags::RESTORED),
+            (known.is_on_bed() && now_ns - known.heard_ns > asleep_ns, person_flags::ASLEEP),
+            (known.by_fit, person_flags::BY_FIT),
+            (self.is_visitor(number), person_flags::VISITOR),
+        ];
+        flags.into_iter().filter(|(holds, _)| *holds).fold(0, |flags, (_, flag)| flags | flag)
     }
 }
 
@@ -571,15 +448,6 @@ pub fn flag_words(flags: u32) -> impl Iterator<Item = &'static str> {
         (person_flags::UNFAMILIAR, "unfamiliar"),
     ];
     words.into_iter().filter(move |(flag, _)| flags & flag != 0).map(|(_, word)| word)
-}
-
-pub(super) fn presence_value(of: Presence) -> u32 {
-    of as u32
-}
-
-/// A time in messages: 0 before the machine's start.
-pub(super) fn message_ns(at_ns: i64) -> u64 {
-    at_ns.try_into().unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -46,17 +46,21 @@ impl PersonsFile {
         &self.persons
     }
 
+    /// All names with their numbers; of one person, the newest first.
+    pub(super) fn names(&self) -> impl Iterator<Item = (PersonId, &ReadName)> {
+        let of_each = self.persons.iter().zip(&self.names);
+        of_each.flat_map(|(kept, names)| names.iter().map(|name| (kept.number, name)))
+    }
+
     /// The number that the home gave to a name.
     pub(super) fn given_number(&self, name: &ReadName) -> Option<PersonId> {
-        let is_own = |names: &Vec<ReadName>| names.iter().any(|own| own.whole() == name.whole());
-        self.names.iter().position(is_own).map(|at| self.persons[at].number)
+        self.names().find(|(_, own)| own.whole == name.whole).map(|(number, _)| number)
     }
 
     /// The number of the person with this number or a name that leads to it.
     #[must_use]
     pub fn current(&self, number: PersonId) -> PersonId {
-        let is_own = |names: &Vec<ReadName>| names.iter().any(|own| own.number() == number);
-        self.names.iter().position(is_own).map_or(number, |at| self.persons[at].number)
+        self.names().find(|(_, own)| own.number == number).map_or(number, |(current, _)| current)
     }
 
     /// The person of a number.
@@ -65,38 +69,22 @@ impl PersonsFile {
         self.persons.iter().find(|kept| kept.number == number)
     }
 
-    /// The persons with their newest names.
-    pub(super) fn newest(&self) -> impl Iterator<Item = (PersonId, &ReadName)> {
-        self.persons.iter().zip(&self.names).filter_map(|(kept, names)| Some((kept.number, names.first()?)))
-    }
-
     /// Whether a change survives a restart: there is a state database, and its last sync succeeded.
     #[must_use]
     pub fn is_kept(&self) -> bool {
         self.journal.as_ref().is_some_and(JournalHandle::is_kept)
     }
 
-    /// Replaces the person with that number. The database changes first: if it cannot be written, nothing changes.
+    /// Replaces or removes the person of a number. The database changes first: if it cannot be written, nothing changes.
     ///
     /// # Errors
     /// When the state database cannot be written, or there would be too many persons.
-    pub fn put(&mut self, person: KeptPerson) -> std::io::Result<()> {
-        let others = self.persons.iter().filter(|kept| kept.number != person.number).cloned();
-        self.replace(others.chain([person.clone()]).collect())
-    }
-
-    /// Removes the person of a number.
-    ///
-    /// # Errors
-    /// As [`PersonsFile::put`].
-    pub fn remove(&mut self, number: PersonId) -> std::io::Result<()> {
-        if self.of_number(number).is_none() {
+    pub fn set(&mut self, number: PersonId, person: Option<KeptPerson>) -> std::io::Result<()> {
+        if person.is_none() && self.of_number(number).is_none() {
             return Ok(());
         }
-        self.replace(self.persons.iter().filter(|kept| kept.number != number).cloned().collect())
-    }
-
-    fn replace(&mut self, persons: Vec<KeptPerson>) -> std::io::Result<()> {
+        let others = self.persons.iter().filter(|kept| kept.number != number).cloned();
+        let persons: Vec<_> = others.chain(person).collect();
         if persons.len() > NAMED_MAX {
             let reason = format!("the home has named {NAMED_MAX} persons already: forget some");
             return Err(std::io::Error::new(std::io::ErrorKind::StorageFull, reason));
@@ -136,19 +124,8 @@ mod tests {
     use super::*;
     use crate::daemon::{Journal, JournalOptions};
 
-    fn ada() -> KeptPerson {
-        KeptPerson { number: PersonId(3), name: "Ada".to_owned(), resident: Some(true), former: Vec::new() }
-    }
-
-    #[test]
-    fn a_list_is_no_person() {
-        let directory = tempfile::tempdir().unwrap();
-        for (text, persons) in
-            [(r#"[{"number": 5, "name": "Ada", "resident": true}]"#, 1), (r#"[[5, "Ada", true]]"#, 0)]
-        {
-            std::fs::write(directory.path().join("persons.json"), text).unwrap();
-            assert_eq!(PersonsFile::load(directory.path()).persons().len(), persons);
-        }
+    fn kept(number: u32, name: &str) -> KeptPerson {
+        KeptPerson { number: PersonId(number), name: name.to_owned(), resident: None, former: Vec::new() }
     }
 
     #[test]
@@ -158,62 +135,53 @@ mod tests {
         let (journal, recovered) = Journal::open(&options).unwrap();
         let mut file = PersonsFile::new(recovered.persons, Some(journal.handle()));
         assert!(file.persons().is_empty());
-        file.put(ada()).unwrap();
-        file.put(KeptPerson { number: PersonId(4), name: "ben".to_owned(), resident: None, former: Vec::new() })
-            .unwrap();
-        file.put(ada().renamed("Ada L.")).unwrap();
+        let ada = KeptPerson { resident: Some(true), ..kept(3, "Ada") };
+        for person in [ada.clone(), kept(4, "ben"), ada.renamed("Ada L.")] {
+            file.set(person.number, Some(person)).unwrap();
+        }
         let again = PersonsFile::load(directory.path());
         assert_eq!(again.persons(), file.persons());
         let number_of = |name: &str| again.given_number(&ReadName::new(name));
         // A narrator that knows the former name continues to use it.
         assert_eq!([" ada l. ", "ada", "adele"].map(number_of), [Some(PersonId(3)), Some(PersonId(3)), None]);
-        file.remove(PersonId(3)).unwrap();
+        file.set(PersonId(3), None).unwrap();
         assert!(file.is_kept() && PersonsFile::load(directory.path()).of_number(PersonId(3)).is_none());
         // When it cannot be written, nothing changes.
         drop(journal);
-        file.put(ada()).unwrap_err();
+        file.set(PersonId(3), Some(ada)).unwrap_err();
         assert_eq!(file.persons().len(), 1);
-        let mut full: Vec<_> = (0..NAMED_MAX as u32)
-            .map(|number| KeptPerson { number: PersonId(number), name: format!("n{number}x"), ..ada() })
-            .collect();
-        full.iter_mut().for_each(|person| person.resident = None);
-        let mut full = PersonsFile::new(full, None);
-        let more = KeptPerson { number: PersonId(1_000_000), ..ada() };
-        assert!(full.put(more).unwrap_err().to_string().contains("forget some"));
+        let full = (0..NAMED_MAX as u32).map(|number| kept(number, &format!("n{number}x"))).collect();
+        let error = PersonsFile::new(full, None).set(PersonId(1_000_000), Some(kept(1_000_000, "Ada"))).unwrap_err();
+        assert!(error.to_string().contains("forget some"));
     }
 
     #[test]
     fn a_name_that_is_taken_up_again_is_no_former_one() {
-        let mut ada = ada();
-        for name in ["Adele", "ada", "Adele"] {
-            ada = ada.renamed(name);
-        }
+        let ada = ["Adele", "ada", "Adele"].iter().fold(kept(3, "Ada"), |ada, name| ada.renamed(name));
         assert_eq!((ada.name.as_str(), ada.former.as_slice()), ("Adele", &["ada".to_owned()][..]));
-        for number in 0..20 {
-            ada = ada.renamed(&format!("name {number}"));
-        }
+        let ada = (0..20).fold(ada, |ada, number| ada.renamed(&format!("name {number}")));
         assert_eq!((ada.former.len(), ada.former[7].as_str()), (8, "name 18"));
     }
 
     #[test]
     fn a_file_that_makes_two_of_one_is_not_used() {
         let directory = tempfile::tempdir().unwrap();
-        for text in [
-            r#"[{"number": 1, "name": "ada"}, {"number": 2, "name": "Ada"}]"#,
-            r#"[{"number": 1, "name": "ada"}, {"number": 1, "name": "ben"}]"#,
-            r#"[{"number": 4294967295, "name": "ada"}]"#,
-            r#"[{"number": 1, "name": "ada"}, {"number": 2, "name": "ben", "former": ["Ada"]}]"#,
-            r#"[{"number": 1, "name": "12"}]"#,
-            r#"[{"number": 1, "name": " "}]"#,
-            "{",
+        for (text, persons) in [
+            (r#"[{"number": 5, "name": "Ada", "resident": true}]"#, 1),
+            (r#"[[5, "Ada", true]]"#, 0),
+            (r#"[{"number": 1, "name": "ada"}, {"number": 2, "name": "Ada"}]"#, 0),
+            (r#"[{"number": 1, "name": "ada"}, {"number": 1, "name": "ben"}]"#, 0),
+            (r#"[{"number": 4294967295, "name": "ada"}]"#, 0),
+            (r#"[{"number": 1, "name": "ada"}, {"number": 2, "name": "ben", "former": ["Ada"]}]"#, 0),
+            (r#"[{"number": 1, "name": "12"}]"#, 0),
+            (r#"[{"number": 1, "name": " "}]"#, 0),
+            ("{", 0),
         ] {
-            std::fs::write(directory.path().join("persons.json"), text).unwrap();
-            assert!(PersonsFile::load(directory.path()).persons().is_empty(), "{text}");
-            assert_eq!(std::fs::read_to_string(directory.path().join("persons.json")).unwrap(), text);
+            let path = directory.path().join("persons.json");
+            std::fs::write(&path, text).unwrap();
+            assert_eq!(PersonsFile::load(directory.path()).persons().len(), persons, "{text}");
+            assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
         }
-        let twice = vec![ada(), KeptPerson { number: PersonId(4), ..ada() }];
-        assert!(PersonsFile::new(twice, None).persons().is_empty());
-        std::fs::write(directory.path().join("persons.json"), r#"[{"number": 5, "name": "Ada"}]"#).unwrap();
-        assert_eq!(PersonsFile::load(directory.path()).persons()[0].number, PersonId(5));
+        assert!(PersonsFile::new(vec![kept(3, "Ada"), kept(4, "Ada")], None).persons().is_empty());
     }
 }

@@ -413,7 +413,7 @@ impl Rule {
         let room = keys.room.as_deref().or((names_a_room && is_placed).then_some("{room}"));
         let (say, person) = (say.as_deref(), keys.person.as_ref());
         let (id, beyond) = (keys.id.as_deref(), keys.beyond.as_deref());
-        let named = person.map(|person| person.json().as_str().unwrap_or_default().to_owned());
+        let named = person.map(|person| person.name().to_owned());
         let count = keys.count.as_ref().and_then(serde_json::Value::as_str);
         let texts = [say, room, named.as_deref(), id, beyond, count];
         let pointers: Vec<_> = texts.into_iter().flatten().flat_map(pointers).map(str::to_owned).collect();

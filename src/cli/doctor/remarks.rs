@@ -38,7 +38,7 @@ fn no_person(line: &Value, persons: &Persons) -> Option<String> {
 fn not_quite_a_form(line: &Value, persons: &Persons, map: Option<&SemanticMap>) -> Option<String> {
     let text = line.get("text")?.as_str()?;
     let is_room = |room: &str| map.is_none_or(|map| map.find_room(room).is_some());
-    let is_form = forms::read(text, |name| persons.is_name(name), is_room).is_some();
+    let is_form = forms::read(text, |name| persons.called(name).is_some(), is_room).is_some();
     let form = near_miss(text).filter(|_| !is_form)?;
     Some(format!("this sets no presence; the nearest form is {:?} (docs/persons.md)", form.sentence))
 }
@@ -71,7 +71,7 @@ pub(super) fn missing_thing(said: &str, map: &SemanticMap, mentions: &mut PlaceM
     if mentions.names_any(said) {
         return None;
     }
-    if let Some((_, event)) = forms::read(sentence.as_str(), |_| true, |_| true) {
+    if let Some((.., event)) = forms::read(sentence.as_str(), |_| true, |_| true) {
         let room = event.room()?;
         return map.find_room(room).is_none().then(|| room.to_owned());
     }

@@ -14,7 +14,7 @@ pub(super) fn name_of_robot(robot: &str, residents: &[String]) -> Option<String>
     let name = letters.next()?.to_uppercase().chain(letters).collect::<String>();
     let is_taken = |name: &String| {
         let name = ReadName::new(name);
-        let is_of = |resident: ReadName| resident.may_be_one(&name) || resident.first() == Some(name.letters());
+        let is_of = |resident: ReadName| resident.may_be_one(&name) || resident.first.as_ref() == Some(&name.letters);
         residents.iter().map(|resident| ReadName::new(resident)).any(is_of)
     };
     Some(name).filter(|name| check_name(name).is_ok() && !is_taken(name))

@@ -1,15 +1,14 @@
 //! From an event to its persons: the key, the name at the start of the text, or the joint filter.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use roomcast_core::grounding::Grounding;
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::forms::{self, COUNT_MAX, Subject};
-use roomcast_core::narration::{Event, Observation, device_state, same_name};
+use roomcast_core::narration::{Event, Observation, Sentence, device_state, person_number};
 
-use super::super::person_question::{UnderstoodLine, UnderstoodPerson};
+use super::super::person_question::{By, UNDERSTOOD_MAX, UnderstoodLine, UnderstoodPerson};
 use super::super::persons::Persons;
-use super::super::understood::{Reason, Understood, UnderstoodEvents};
 use super::map_in_use::{MapInUse, rooms_alike};
 use crate::config::May;
 
@@ -47,6 +46,37 @@ pub(super) enum Weighed {
     Refused(Reason),
 }
 
+/// Why an event moved no person.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::IntoStaticStr)]
+pub(super) enum Reason {
+    #[strum(serialize = "this narrator may not set presence (daemon.narrator.may)")]
+    MayNotPresence,
+    #[strum(serialize = "this narrator may send presence only (daemon.narrator.may)")]
+    MayNotDid,
+    #[strum(serialize = "the text begins with a name from persons.not_persons")]
+    NoPerson,
+    #[strum(serialize = "a named narrator reported this person within persons.guard_s")]
+    Guarded,
+    #[strum(serialize = "a later event of this person or device says otherwise")]
+    Outdated,
+    #[strum(serialize = "several persons can have caused it: the belief about each of them changed a little")]
+    Unclear,
+    #[strum(serialize = "the map lacks the room of this sensor, or there are too many sensors")]
+    NoSensor,
+}
+
+/// One event as the daemon understood it.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Understood {
+    pub(super) id: EventId,
+    /// The event; a presence form counts as presence.
+    pub(super) event: Event,
+    pub(super) persons: Vec<PersonId>,
+    pub(super) by: By,
+    /// Why it changed no belief.
+    pub(super) reason: Option<Reason>,
+}
+
 fn is_keyed(observation: &Observation) -> bool {
     observation.person != PersonId::SOMEBODY && !observation.by_fit || observation.name.is_some()
 }
@@ -57,7 +87,8 @@ pub(super) struct Attribution {
     pub(super) persons: Persons,
     /// The narrators of the configuration by source, and the events that each may send.
     pub(super) named: BTreeMap<u64, May>,
-    pub(super) understood: UnderstoodEvents,
+    /// The newest events; the oldest one goes first.
+    pub(super) understood: VecDeque<Understood>,
     /// Texts that resemble a presence form, once they were logged.
     near_misses: BTreeSet<String>,
 }
@@ -76,13 +107,20 @@ impl Attribution {
 
     /// Texts of others may name a forgotten person.
     pub(super) fn forget_texts(&mut self) {
-        self.understood = UnderstoodEvents::default();
+        self.understood.clear();
         self.near_misses.clear();
     }
 
     pub(super) fn lose(&mut self, person: PersonId) {
         self.persons.remove(person);
-        self.understood.forget(person);
+        self.understood.retain(|own| !own.persons.contains(&person));
+    }
+
+    pub(super) fn remember(&mut self, understood: Understood) {
+        if self.understood.len() == UNDERSTOOD_MAX {
+            self.understood.pop_front();
+        }
+        self.understood.push_back(understood);
     }
 
     /// How the events of a narrator's start were understood, from a sequence on.
@@ -92,12 +130,13 @@ impl Attribution {
         (source, epoch, from): (u64, u64, u64),
     ) -> Vec<UnderstoodLine> {
         let Self { understood, persons, .. } = self;
+        let nearest = |text: &Sentence| forms::near_miss(text.as_str());
         let line = |own: &Understood| {
             let found = own.event.sentence().and_then(|text| map.matcher.last(text.as_str()));
             let thing = found.map(|found| grounding.scored_labels()[found.label].text.clone());
             let room = own.event.room().and_then(|room| map.room(room, grounding));
             let place = thing.or_else(|| room.map(|room| grounding.partitions()[room].id.clone()));
-            let why = own.reason.map(Reason::text).or(match &own.event {
+            let why = own.reason.map(<&str>::from).or(match &own.event {
                 Event::Did(_) if place.is_none() => Some("the text names no place on the map"),
                 Event::Present(Some(_)) | Event::Empty(_) if place.is_none() => {
                     Some("the map has no single room of this name: give the id of a room")
@@ -111,16 +150,17 @@ impl Attribution {
             UnderstoodLine {
                 sequence: own.id.sequence,
                 event: <&str>::from(&own.event).to_owned(),
-                persons: own.persons().iter().map(person).collect(),
+                persons: own.persons.iter().map(person).collect(),
                 by: own.by,
                 left: found.is_some_and(|found| found.is_left),
                 place,
                 presence: own.event.person_presence(),
                 why: why.map(str::to_owned),
-                nearest_form: own.near_miss().map(str::to_owned),
+                nearest_form: own.event.sentence().and_then(nearest).map(|form| form.sentence.to_owned()),
             }
         };
-        understood.of(source, epoch, from).map(line).collect()
+        let of_start = |own: &&Understood| own.id.start() == (source, epoch) && own.id.sequence >= from;
+        understood.iter().filter(of_start).map(line).collect()
     }
 
     /// The event as read, and its persons. The key is final; free text sets presence in the closed forms only.
@@ -133,13 +173,11 @@ impl Attribution {
         let is_keyed = is_keyed(observation);
         let unknown = |count: u8| if is_keyed { Who::Key } else { Who::Unknown(count.clamp(1, COUNT_MAX)) };
         let Event::Did(sentence) = &observation.event else {
-            if !reporter.may.presence {
-                return Err(Reason::MayNotPresence);
-            }
-            let who = if observation.event.has_person() { unknown(observation.count) } else { Who::House };
             // A sensor may belong to a person.
-            let who = if is_keyed && matches!(observation.event, Event::Sensor(_)) { Who::Key } else { who };
-            return Ok((who, observation.event.clone()));
+            let is_bound = is_keyed && matches!(observation.event, Event::Sensor(_));
+            let has_person = is_bound || observation.event.has_person();
+            let who = if has_person { unknown(observation.count) } else { Who::House };
+            return reporter.may.presence.then(|| (who, observation.event.clone())).ok_or(Reason::MayNotPresence);
         };
         let text = sentence.as_str();
         if reporter.may.presence
@@ -151,18 +189,16 @@ impl Attribution {
         if !reporter.may.did {
             return Err(Reason::MayNotDid);
         }
-        let event = observation.event.clone();
-        if is_keyed {
-            return Ok((Who::Key, event));
-        }
-        if let Some((number, name)) = self.persons.at_start(text) {
-            return Ok((Who::Named(number, name.into()), event));
-        }
-        if self.persons.begins_with_no_person(text) {
+        let who = if is_keyed {
+            Who::Key
+        } else if let Some((number, name)) = self.persons.at_start(text) {
+            Who::Named(number, name.into())
+        } else if self.persons.begins_with_no_person(text) {
             return Err(Reason::NoPerson);
-        }
-        let count = if observation.count > 0 { observation.count } else { forms::count_of_persons(text).unwrap_or(1) };
-        Ok((Who::Unknown(count.clamp(1, COUNT_MAX)), event))
+        } else {
+            unknown(if observation.count > 0 { observation.count } else { forms::count_of_persons(text).unwrap_or(1) })
+        };
+        Ok((who, observation.event.clone()))
     }
 
     /// A text that is a presence form. A form about another person than the key is an action of the key's person.
@@ -172,43 +208,34 @@ impl Attribution {
         observation: &Observation,
         text: &str,
     ) -> Option<(Who, Event)> {
-        let key = || observation.name.as_deref().map_or(observation.person, |name| self.persons.number_of(name));
-        let is_of_key = |name: &str| observation.name.as_deref().is_some_and(|own| same_name(own, name));
+        let key = observation.name.as_deref().map_or(observation.person, |name| self.persons.number_of(name));
         let is_keyed = is_keyed(observation);
         let is_room = |room: &str| map.room(room, grounding).is_some() || rooms_alike(room, grounding).next().is_some();
-        let is_name = |name: &str| is_keyed && is_of_key(name) || self.persons.called(name).is_some();
-        let (subject, event) = forms::read(text, is_name, is_room)?;
+        let is_name = |name: &str| match self.persons.called(name) {
+            known if is_keyed => known.unwrap_or_else(|| person_number(name)) == key,
+            known => known.is_some(),
+        };
+        let (_, subject, event) = forms::read(text, is_name, is_room)?;
         let who = match subject {
+            // An empty room is about no person, whatever the key is.
+            Subject::House if is_keyed && event == Event::AllAway => return None,
             Subject::House => Who::House,
+            _ if is_keyed => Who::Key,
             Subject::Unknown => Who::Unknown(1),
-            Subject::Named(name) if is_keyed => {
-                let is_own = is_of_key(&name) || self.persons.called(&name) == Some(key());
-                return is_own.then_some((Who::Key, event));
-            }
             Subject::Named(name) => Who::Named(self.persons.called(&name)?, name.into()),
         };
-        match (is_keyed, &event) {
-            // An empty room is about no person, whatever the key is.
-            (true, Event::Empty(_)) => Some((who, event)),
-            (true, Event::AllAway) => None,
-            (true, _) => Some((Who::Key, event)),
-            (false, _) => Some((who, event)),
-        }
+        Some((who, event))
     }
 
     pub(super) fn note_near_miss(&mut self, observation: &Observation, event: &Event) {
         let Event::Did(text) = event else { return };
-        if !observation.may_be_form || self.near_misses.len() >= NEAR_MISSES_LOGGED {
-            return;
-        }
-        if let Some(form) = forms::near_miss(text.as_str())
+        let may_log = observation.may_be_form && self.near_misses.len() < NEAR_MISSES_LOGGED;
+        if may_log
+            && let Some(form) = forms::near_miss(text.as_str())
             && self.near_misses.insert(text.to_string())
         {
-            tracing::info!(
-                text = text.as_str(),
-                nearest = form.sentence,
-                "this text sets no presence; write the nearest form, or send presence"
-            );
+            let (text, nearest) = (text.as_str(), form.sentence);
+            tracing::info!(text, nearest, "this text sets no presence; write the nearest form, or send presence");
         }
     }
 }

@@ -1,11 +1,10 @@
 //! An event in the order of the flow: who caused it, the joint filter, and the part of each person.
 
 use super::super::journal::Move;
-use super::super::person_question::UnderstoodLine;
+use super::super::person_question::{By, UnderstoodLine};
 use super::super::persons::LATE_NS;
 use super::super::sleep::{is_bed, sleeps};
-use super::super::understood::{By, Reason, Understood};
-use super::attribution::{HALF, Reporter, Weighed, Who, is_off, likeliest};
+use super::attribution::{HALF, Reason, Reporter, Understood, Weighed, Who, is_off, likeliest};
 use super::belief::Seen;
 use super::records::Attributed;
 use super::tracking::Said;
@@ -26,12 +25,14 @@ impl<M: LanguageModel> Engine<M> {
         mut enter: impl FnMut(&mut Self, Observation),
     ) -> (bool, Vec<Move>) {
         let mut moves = self.records.no_moves();
-        let mut understood = Understood::of(&observation);
+        let (id, event, by) = (observation.id(), observation.event.clone(), By::Key);
+        let mut understood = Understood { id, event, persons: Vec::new(), by, reason: None };
         let (who, event) =
             match self.attribution.read((&self.map, self.scoring.pipeline.grounding()), &observation, reporter) {
                 Ok(read) => read,
                 Err(reason) => {
-                    self.attribution.understood.add(understood.without_effect(reason));
+                    understood.reason = Some(reason);
+                    self.attribution.remember(understood);
                     return (false, moves);
                 }
             };
@@ -55,12 +56,12 @@ impl<M: LanguageModel> Engine<M> {
             } else {
                 understood.reason = Some(Reason::Guarded);
             }
-            self.attribution.understood.add(understood);
+            self.attribution.remember(understood);
             return (false, moves);
         }
         let mut take = |engine: &mut Self, own: Observation| match engine.take(own, quota, (reporter, false), at_ns) {
             Ok(own) => {
-                understood.add_person(own.person);
+                understood.persons.push(own.person);
                 if !is_read_alone {
                     moves.push(Move::of(&own, &observed));
                 }
@@ -71,7 +72,7 @@ impl<M: LanguageModel> Engine<M> {
         if who == Who::Key && !is_sensor {
             let person = own.name.as_deref().map_or(own.person, |name| self.attribution.persons.number_of(name));
             take(self, Observation { person, ..own });
-            self.attribution.understood.add(understood);
+            self.attribution.remember(understood);
             return (is_read_alone, moves);
         }
         let is_unnamed = is_sensor || matches!(who, Who::Unknown(_)) && !own.by_fit;
@@ -97,7 +98,7 @@ impl<M: LanguageModel> Engine<M> {
             // A restart weighs it again.
             moves.push(Move::of_nobody());
         }
-        self.attribution.understood.add(understood);
+        self.attribution.remember(understood);
         (is_read_alone, moves)
     }
 
@@ -146,14 +147,10 @@ impl<M: LanguageModel> Engine<M> {
         reporter: Reporter,
         at_ns: i64,
     ) -> Option<Reason> {
-        let is_guarded = match who_is {
-            _ if !reporter.is_unknown => false,
-            Some(person) => {
-                self.attribution.persons.is_guarded(person, at_ns) || !self.attribution.persons.is_trusted(person)
-            }
-            None => self.attribution.persons.is_anybody_guarded(at_ns),
-        };
-        if is_guarded {
+        let persons = &self.attribution.persons;
+        let is_guarded =
+            || persons.is_guarded(who_is, at_ns) || who_is.is_some_and(|person| !persons.is_trusted(person));
+        if reporter.is_unknown && is_guarded() {
             return Some(Reason::Guarded);
         }
         match (&own.event, who_is) {
@@ -371,7 +368,7 @@ impl<M: LanguageModel> Engine<M> {
     ) -> Result<Observation, Reason> {
         if !was_taken
             && reporter.is_unknown
-            && self.attribution.persons.is_guarded(observation.person, at_ns.unwrap_or_default())
+            && self.attribution.persons.is_guarded(Some(observation.person), at_ns.unwrap_or_default())
         {
             return Err(Reason::Guarded);
         }
@@ -383,11 +380,9 @@ impl<M: LanguageModel> Engine<M> {
         }
         let did_ns = self.attribution.persons.get(observation.person).map_or(i64::MIN, |known| known.did_ns);
         let silent_s = seconds(noted_ns.saturating_sub(did_ns));
-        if let Some(dropped) = self.attribution.persons.note(&observation, quota, noted_ns) {
+        let voice = (quota, !reporter.is_unknown);
+        if let Some(dropped) = self.attribution.persons.note(&observation, voice, noted_ns) {
             self.drop_person(dropped);
-        }
-        if !reporter.is_unknown {
-            self.attribution.persons.guard(observation.person, noted_ns);
         }
         self.scoring.rescore(observation.person);
         if let Event::Present(Some(room)) = &observation.event {
@@ -410,7 +405,7 @@ impl<M: LanguageModel> Engine<M> {
     /// Takes the event that a room is empty into the forecasts. Gives whether the daemon believes it.
     pub(super) fn exclude(&mut self, observation: &Observation, reporter: Reporter, at_ns: Option<i64>) -> bool {
         let Event::Empty(empty) = &observation.event else { return false };
-        if reporter.is_unknown && self.attribution.persons.is_anybody_guarded(at_ns.unwrap_or_default()) {
+        if reporter.is_unknown && self.attribution.persons.is_guarded(None, at_ns.unwrap_or_default()) {
             return false;
         }
         self.map.note_room(empty.as_str(), self.scoring.pipeline.grounding());

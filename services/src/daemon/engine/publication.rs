@@ -20,7 +20,7 @@ use roomcast_ipc::text;
 use super::belief::Belief;
 use super::map_in_use::{NamedRooms, named_rooms};
 use super::{EngineError, HORIZONS_S, HomeHabits};
-use crate::daemon::persons::{Persons, message_ns, presence_value};
+use crate::daemon::persons::Persons;
 
 /// The house counts as empty above this probability.
 const SURELY_EMPTY: f64 = 0.9;
@@ -114,7 +114,7 @@ impl Publication {
         let persons = || known_persons.iter().filter(|(_, known)| known.presence != Presence::Gone);
         let followed = belief.forecasters();
         // A resident without an event may be anywhere, also out.
-        let not_known = belief.followed.is_empty() || known_persons.is_anybodys_guess();
+        let not_known = belief.followed.is_empty() || known_persons.are_all_away() && known_persons.misses_residents();
         if not_known {
             message.flags |= forecast_flags::NOT_KNOWN;
         }
@@ -130,7 +130,7 @@ impl Publication {
         let now_s = now_ns.seconds();
         let others_out: f64 = untracked.iter().map(|own| own.elsewhere(now_s, 0.0)).product();
         let is_empty =
-            tracker.map_or(known_persons.nobody_is_home(), |own| own.house_empty() * others_out > SURELY_EMPTY);
+            tracker.map_or(known_persons.are_all_away(), |own| own.house_empty() * others_out > SURELY_EMPTY);
         if is_empty && !not_known {
             message.flags |= forecast_flags::NOBODY_HOME;
         }
@@ -196,10 +196,10 @@ impl Publication {
         let (used, places) = (scores.persons().len(), &mut message.person);
         for (scores, place) in scores.persons().iter().zip(places.iter_mut()) {
             let person = PersonId(scores.person);
-            let name = known_persons.name_bytes(person);
+            let name = text::encode_cut(known_persons.name_of(person).unwrap_or_default());
             *place = PersonForecastV1 { person: person.0, name, ..PersonForecastV1::default() };
             let presence = known_persons.get(person).map_or(Presence::Gone, |known| known.presence);
-            place.presence = presence_value(presence);
+            place.presence = presence as u32;
             place.flags = known_persons.flags(person, signed_ns) | scores.flags & person_flags::UNFAMILIAR;
             let own = followed.get(&person);
             let rows = own.and_then(|own| home.forecast(person, own, now_ns, &HORIZONS_S));
@@ -253,7 +253,7 @@ impl Publication {
         for person in message.person.iter_mut().take(message.person_count as usize) {
             let id = PersonId(person.person);
             person.flags = known_persons.flags(id, now_ns) | person.flags & person_flags::UNFAMILIAR;
-            person.name = known_persons.name_bytes(id);
+            person.name = text::encode_cut(known_persons.name_of(id).unwrap_or_default());
         }
         message
     }
@@ -322,7 +322,11 @@ impl Publication {
             if shown().count() == 1 { shown().next().map_or(ALL_PERSONS, |person| person.0) } else { ALL_PERSONS };
         snapshot.persons = persons as u32;
         snapshot.window = pipeline.persons().map(|own| own.window as u64).sum();
-        snapshot.flags |= if known_persons.nobody_is_home() { score_flags::NOBODY_HOME } else { 0 };
+        snapshot.flags |= if known_persons.are_all_away() && !known_persons.misses_residents() {
+            score_flags::NOBODY_HOME
+        } else {
+            0
+        };
         snapshot.flags |= if persons == 0 { score_flags::NO_NARRATION } else { 0 };
         snapshot.flags |= match pipeline.inside().model().weakness {
             Some(_) => score_flags::MODEL_WEAK,
@@ -399,9 +403,9 @@ impl Publication {
             known.told = true;
             *place = PersonV1 {
                 person: person.0,
-                presence: presence_value(known.presence),
-                observed_ns: message_ns(heard_ns),
-                since_ns: message_ns(known.since_ns),
+                presence: known.presence as u32,
+                observed_ns: heard_ns.try_into().unwrap_or_default(),
+                since_ns: known.since_ns.try_into().unwrap_or_default(),
                 elsewhere: if known.presence == Presence::Present { 0.0 } else { 1.0 },
                 ..PersonV1::default()
             };

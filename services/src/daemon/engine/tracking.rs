@@ -13,7 +13,7 @@ use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::tracker::{self, Home, Movement, Observation, Options, SensorSpec, Tracker};
 
-use super::super::understood::Reason;
+use super::attribution::Reason;
 use super::map_in_use::room_named;
 use super::robots::Robots;
 use super::seconds;
