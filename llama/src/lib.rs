@@ -1,7 +1,7 @@
 //! Roomcast's language model: GGUF files on llama.cpp, in this process and on its processor.
 //!
 //! [`LlamaModel`] is what `roomcast-core` asks for as a language model. A file is read and checked by safe code ([`gguf`]) before
-//! llama.cpp sees it, and three files of this crate talk to llama.cpp. Its own types are in two signatures, for who compares with the bare
+//! llama.cpp sees it, and no other crate talks to llama.cpp. Its own types are in two signatures, for who compares with the bare
 //! decoder: [`backend`] and [`LlamaOptions::context_parameters`].
 //!
 //! ```no_run

@@ -1,4 +1,4 @@
-//! llama.cpp as a [`LanguageModel`]. Only this file decodes.
+//! llama.cpp as a [`LanguageModel`].
 //!
 //! **The prefix stays.** After a call the cache holds the prompt on every sequence in use. The next call removes only the difference and
 //! decodes only the rest.
