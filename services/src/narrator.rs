@@ -106,6 +106,7 @@ impl Input {
         let mut stream = File::open(path).map_err(read)?;
         if Self::is_program(&mut stream).map_err(read)? {
             let program = Program::load(path)?;
+            program.notes.iter().for_each(|note| tracing::warn!(%note, "skipped"));
             return Ok(Self::Items(program_items(&program, &person)));
         }
         let stream = File::open(path).map_err(read)?;

@@ -5,9 +5,10 @@
 
 use std::path::Path;
 
-use roomcast_core::narration::program;
-use roomcast_core::narration::{Action, DAY_MINUTES_MAX, PROGRAM_BYTES_MAX, Program, STEPS_MAX, TextError};
+use roomcast_core::narration::{Action, PROGRAM_BYTES_MAX, Program, STEPS_MAX, TextError};
 
+/// The latest minute of a day of activities, counted from the day's midnight. Activities may go on into the next day.
+pub const DAY_MINUTES_MAX: u32 = 48 * 60;
 /// Largest file of a day, in bytes. The longest of HOMER+ have 200 KiB.
 pub const DAY_BYTES_MAX: usize = 16 * PROGRAM_BYTES_MAX;
 
@@ -33,7 +34,7 @@ impl Day {
     /// Whether the text is a day and not a program.
     #[must_use]
     pub fn recognise(text: &str) -> bool {
-        program::looks_like_a_day(text)
+        text.lines().any(|line| line.starts_with("### "))
     }
 
     /// Reads a day. An action without a time gets the time of the previous action; the first action needs one.
@@ -97,7 +98,7 @@ impl Day {
     #[must_use]
     pub fn program(&self, title: &str) -> Program {
         let steps = self.actions.iter().map(|timed| timed.action.clone()).collect();
-        Program { title: title.to_owned(), steps }
+        Program { title: title.to_owned(), steps, notes: Vec::new() }
     }
 }
 

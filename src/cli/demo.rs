@@ -212,6 +212,7 @@ impl Plot {
     /// One cell of the experiments: this scene, program and T_r, with the experiments' options.
     fn new(args: &Args, map: &SemanticMap, grounding: &Grounding) -> Result<Self, Failure> {
         let program = setup::load_program(&args.program)?;
+        program.notes.iter().for_each(|note| super::tell(format_args!("roomcast: {note}")));
         let options = Options { seed: args.seed, ..Options::default() };
         // In single precision, as the experiments score.
         let llama = LlamaOptions { cache: CacheType::F32, ..LlamaOptions::default() };

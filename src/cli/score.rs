@@ -151,6 +151,7 @@ fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
     let mut sentences = Vec::new();
     if let Some(path) = &args.program {
         let program = setup::load_program(path)?;
+        program.notes.iter().for_each(|note| super::tell(format_args!("roomcast: {note}")));
         let steps = args.steps.unwrap_or(program.steps.len());
         if steps > program.steps.len() {
             let (path, has) = (path.display(), program.steps.len());

@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use roomcast_core::narration::history::{KEPT_NS, OBSERVATIONS_MAX};
-use roomcast_core::narration::{self, DAY_MINUTES_MAX, PERSONS_MAX, PROGRAM_BYTES_MAX, SENTENCE_BYTES_MAX, STEPS_MAX};
+use roomcast_core::narration::{self, PERSONS_MAX, PROGRAM_BYTES_MAX, SENTENCE_BYTES_MAX, STEPS_MAX};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_core::{grounding, guess, habits, prepared, prompt, semantic_map};
 use roomcast_ipc::raw::{
@@ -22,6 +22,7 @@ use roomcast_services::daemon::{
 use roomcast_services::mqtt::{link, look};
 use roomcast_services::narrator::Faults;
 use roomcast_services::{mqtt, recording, reporter, sensor_log};
+use roomcast_simulation::homer::DAY_MINUTES_MAX;
 use roomcast_simulation::trace::DAYS_MAX;
 
 const HEAD: &str = "# Limits

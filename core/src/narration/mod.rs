@@ -22,7 +22,7 @@ pub use history::{Histories, History, HistoryLimits, PERSONS_MAX, Quota};
 pub use person::{
     PERSON_NAME_BYTES_MAX, ReadName, check_name, is_number, name_words, person_number, same_but_for_accents, same_name,
 };
-pub use program::{DAY_MINUTES_MAX, PROGRAM_BYTES_MAX, Program, STEPS_MAX};
+pub use program::{PROGRAM_BYTES_MAX, Program, STEPS_MAX};
 pub use sensor::{SENSOR_ID_BYTES_MAX, SensorKind, SensorReport};
 
 /// Longest sentence of one observation, in bytes of UTF-8; the narration message holds as many.

@@ -9,14 +9,6 @@ use crate::text::{read_text_at_most, without_mark};
 pub const PROGRAM_BYTES_MAX: usize = 1 << 20;
 /// Most steps of one program.
 pub const STEPS_MAX: usize = 10_000;
-/// The latest minute of a day of activities, counted from the day's midnight. Activities may go on into the next day.
-pub const DAY_MINUTES_MAX: u32 = 48 * 60;
-
-/// Whether the text has the headings of HOMER+'s days, which no program has before its steps.
-#[must_use]
-pub fn looks_like_a_day(text: &str) -> bool {
-    text.lines().any(|line| line.starts_with("### "))
-}
 
 /// An activity as a sequence of atomic actions.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -25,11 +17,13 @@ pub struct Program {
     pub title: String,
     /// In order; never empty.
     pub steps: Vec<Action>,
+    /// A sentence for each line that is no action and is left out, with the line's number.
+    pub notes: Vec<String>,
 }
 
 impl Program {
     /// Reads a program: the title, a description up to the first line that opens with `[`, then one action per line. Between actions, empty lines and
-    /// lines that open with `#` are skipped.
+    /// lines that open with `#` are skipped. A line that is no action is left out, with a note.
     ///
     /// # Errors
     /// [`TextError`] names the line.
@@ -47,23 +41,21 @@ impl Program {
             ));
         }
         while lines.next_if(|(_, line)| !line.starts_with('[')).is_some() {}
-        let mut steps = Vec::new();
+        let (mut steps, mut notes) = (Vec::new(), Vec::new());
         for (line, step) in lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#')) {
-            if steps.len() == STEPS_MAX {
+            if steps.len() + notes.len() == STEPS_MAX {
                 return refused(format!("line {line}: more than {STEPS_MAX} steps: split the program"));
             }
-            steps.push(Action::parse(step).or_else(|fault| match looks_like_a_day(text) {
-                true => refused(format!(
-                    "line {line} is none of a program's, and the file looks like a day in HOMER+'s format, with activities and times: \
-                     `roomcast-lab` reads days, other commands programs in VirtualHome's format"
-                )),
-                false => refused(format!("line {line}: {fault}")),
-            })?);
+            match Action::parse(step) {
+                Ok(step) => steps.push(step),
+                Err(fault) => notes.push(format!("line {line} is left out: {fault}")),
+            }
         }
         if steps.is_empty() {
-            return refused(format!("the program `{title}` has no step: add lines such as `[Walk] <kitchen> (1)`"));
+            let why = notes.first().map_or("add lines such as `[Walk] <kitchen> (1)`", |note| note);
+            return refused(format!("the program `{title}` has no step: {why}"));
         }
-        Ok(Self { title: title.to_owned(), steps })
+        Ok(Self { title: title.to_owned(), steps, notes })
     }
 
     /// Reads a program from a file.
@@ -95,13 +87,21 @@ mod tests {
     }
 
     #[test]
+    fn a_line_that_is_no_action_is_left_out_with_a_note() {
+        let Program { steps, notes, .. } =
+            Program::parse("Rest\n\n[Fly] <sofa> (1)\n[Walk] <sofa> (1)\nno step\n").unwrap();
+        assert!(steps.len() == 1 && notes.len() == 2, "{notes:?}");
+        assert!(notes[0].starts_with("line 3 is left out: unknown action `Fly`"), "{notes:?}");
+        assert!(notes[1].starts_with("line 5 is left out: expected `["), "{notes:?}");
+    }
+
+    #[test]
     fn an_error_names_the_line() {
-        let day = "wake_up (06:00 - 06:10)\n\n### wake_up-00.txt\n\n[WALK] <bedroom> (162) [1]\n370.0\n";
         for (text, parts) in [
-            ("Title\ndescription\n\n[Walk] <kitchen>\n", ["line 4: ", "expected `(number)`"]),
-            ("Have fun\n\n[Walk] <sofa> (1)\n[Levitate]\n", ["line 4: ", "unknown action `Levitate`"]),
-            ("Rest\n\n[Walk] <sofa> (1)\nnot a step\n", ["line 4: ", "expected `[action]`"]),
-            (day, ["line 5 ", "HOMER+"]),
+            (
+                "Title\ndescription\n\n[Walk] <kitchen>\n",
+                ["the program ", "no step: line 4 is left out: expected `(number)`"],
+            ),
             ("[Walk] <kitchen> (1)", ["line 1: ", "found a step"]),
             ("", ["line 1: ", "found nothing"]),
             ("Title only", ["the program ", "no step"]),

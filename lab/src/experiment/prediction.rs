@@ -186,6 +186,7 @@ pub fn load_programs(folder: &Path) -> Result<(Vec<NamedProgram>, Vec<String>), 
         match roomcast_simulation::homer::load_any(&path) {
             Ok(program) => {
                 let activity = plain_title(&program.title);
+                faults.extend(program.notes.iter().map(|note| format!("{}: {note}", path.display())));
                 programs.push(NamedProgram { path, program, activity });
             }
             Err(fault) => faults.push(fault.to_string()),
