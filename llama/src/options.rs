@@ -68,7 +68,7 @@ pub struct LlamaOptions {
     /// Threads of one decoder call, 1 to [`THREADS_MAX`].
     pub threads: usize,
     /// Most positions in the cache: prompt and tree together. The model's training length limits them, and memory is allocated when it is
-    /// needed ([`LanguageModel::reserve`]).
+    /// needed ([`reserve`](roomcast_core::scorer::LanguageModel::reserve)).
     pub context_tokens: u32,
     /// Paths that are decoded in one call, 1 to [`SEQUENCES_MAX`].
     pub sequences: u32,

@@ -68,6 +68,9 @@ impl BridgeError {
     }
 }
 
+/// What a thread of this program runs.
+type Part<'a> = Box<dyn FnOnce() -> Result<(), IpcError> + Send + 'a>;
+
 /// Runs until asked to stop.
 ///
 /// # Errors
@@ -94,69 +97,42 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
     let (link, ros2, stopper, last_told) = (link.as_ref(), ros2.as_ref(), stop, &last);
     let peer_ear = &peer_ear;
     let ended = thread::scope(|scope| {
-        let start = |name: &str| thread::Builder::new().name(name.to_owned());
-        // Threads that run already must end too.
-        let failed = |error| {
-            stopper.request();
-            BridgeError::Thread(error)
-        };
-        // If one thread ends, all end.
         let domain = &domain;
-        let inward = move || {
-            let _ends = stopper.at_end();
-            inward::run(config, domain, link, &heard, &wanting, stopper)
-        };
-        let inward = start("inward").spawn_scoped(scope, inward).map_err(failed)?;
-        let answering = if ask::allowed(&config.ask).is_empty() {
-            None
-        } else {
-            let answer = move || {
+        // If one thread ends, all end.
+        let start = |name: &str, run: Part<'_>| {
+            let part = move || {
                 let _ends = stopper.at_end();
-                ask::run(config, domain, &asked, stopper)
+                run()
             };
-            Some(start("ask").spawn_scoped(scope, answer).map_err(failed)?)
+            thread::Builder::new().name(name.to_owned()).spawn_scoped(scope, part).map_err(|error| {
+                // Threads that run already must end too.
+                stopper.request();
+                BridgeError::Thread(error)
+            })
         };
-        let listening = if config.peers.hear {
-            let listen = move || {
-                let _ends = stopper.at_end();
-                peers::run(config, domain, link, (peer_ear, &peers_heard), stopper)
-            };
-            Some(start("peers").spawn_scoped(scope, listen).map_err(failed)?)
-        } else {
-            None
-        };
-        let sharing = match link.filter(|_| config.habits.share) {
-            Some(link) => {
-                let share = move || {
-                    let _ends = stopper.at_end();
-                    habits::run(config, domain, link, last_told, stopper)
-                };
-                Some(start("habits").spawn_scoped(scope, share).map_err(failed)?)
-            }
-            None => None,
-        };
+        let inward = start("inward", Box::new(move || inward::run(config, domain, link, &heard, &wanting, stopper)))?;
+        let mut threads = Vec::new();
+        if !ask::allowed(&config.ask).is_empty() {
+            threads.push(start("ask", Box::new(move || ask::run(config, domain, &asked, stopper)))?);
+        }
+        if config.peers.hear {
+            let listen = move || peers::run(config, domain, link, (peer_ear, &peers_heard), stopper);
+            threads.push(start("peers", Box::new(listen))?);
+        }
+        if let Some(link) = link.filter(|_| config.habits.share) {
+            let share = move || habits::run(config, domain, link, last_told, stopper);
+            threads.push(start("habits", Box::new(share))?);
+        }
         let tells_understood = config.narrator.iter().any(|narrator| narrator.understood);
-        let understanding = match link.filter(|_| tells_understood) {
-            Some(link) => {
-                let keys = Keys::new(&config.site.name, config.robot.key());
-                let tell = move || {
-                    let _ends = stopper.at_end();
-                    understood::run(&keys, domain, link, &wanted, stopper)
-                };
-                Some(start("understood").spawn_scoped(scope, tell).map_err(failed)?)
-            }
-            None => None,
-        };
-        let spoken = match ros2 {
-            Some((places, link)) => {
-                let speak = move || {
-                    let _ends = stopper.at_end();
-                    ros2::run::run(&config.ros2, places, domain, link, ros2_ear, stopper)
-                };
-                Some(start("ros2").spawn_scoped(scope, speak).map_err(failed)?)
-            }
-            None => None,
-        };
+        if let Some(link) = link.filter(|_| tells_understood) {
+            let keys = Keys::new(&config.site.name, config.robot.key());
+            threads
+                .push(start("understood", Box::new(move || understood::run(&keys, domain, link, &wanted, stopper)))?);
+        }
+        if let Some((places, link)) = ros2 {
+            let speak = move || ros2::run::run(&config.ros2, places, domain, link, ros2_ear, stopper);
+            threads.push(start("ros2", Box::new(speak))?);
+        }
         notify(&[NotifyState::Ready]);
         // The watchdog is fed only while narration is forwarded.
         let alive = || {
@@ -169,8 +145,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
             outward::run(config, domain, (link, &last), stopper, &alive).map_err(BridgeError::Ipc)
         };
         notify(&[NotifyState::Stopping]);
-        let threads = [Some(inward), answering, spoken, listening, sharing, understanding];
-        let ends: Vec<_> = threads.into_iter().flatten().map(ended).collect();
+        let ends: Vec<_> = std::iter::once(inward).chain(threads).map(ended).collect();
         outward.and(ends.into_iter().collect())
     });
     if second.found.load(Ordering::Relaxed) {

@@ -52,8 +52,9 @@ impl Program {
             }
         }
         if steps.is_empty() {
+            let day = if text.contains("\n### ") { " (`roomcast-lab` reads days in HOMER+'s format)" } else { "" };
             let why = notes.first().map_or("add lines such as `[Walk] <kitchen> (1)`", |note| note);
-            return refused(format!("the program `{title}` has no step: {why}"));
+            return refused(format!("the program `{title}` has no step{day}: {why}"));
         }
         Ok(Self { title: title.to_owned(), steps, notes })
     }
@@ -71,8 +72,6 @@ impl Program {
 
 #[cfg(test)]
 mod tests {
-    use std::path::PathBuf;
-
     use super::*;
 
     #[test]
@@ -123,7 +122,7 @@ mod tests {
         }
         fn load(folder: &Path) -> Vec<Result<Program, TextError>> {
             let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
-            let of = |path: PathBuf| if path.is_dir() { load(&path) } else { vec![Program::load(&path)] };
+            let of = |path: std::path::PathBuf| if path.is_dir() { load(&path) } else { vec![Program::load(&path)] };
             paths
                 .filter(|path| path.is_dir() || path.extension().is_some_and(|ending| ending == "txt"))
                 .flat_map(of)

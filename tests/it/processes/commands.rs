@@ -329,7 +329,7 @@ fn errors_name_the_file_and_the_remedy_once() {
         (&["score", "--scene", "nowhere"], &["no scene nowhere", shipped]),
         (&["score", "--program", "nowhere"], &["program nowhere", "p0-breakfast-and-television"]),
         (&["narrate", "p0-breakfast"], &["no file p0-breakfast: ", "p0-breakfast-and-television"]),
-        (&["score", "--program", &day], &["day.txt: line 5", "HOMER+", "`roomcast-lab`"]),
+        (&["score", "--program", &day], &["day.txt: ", "line 5 is left out", "HOMER+", "`roomcast-lab`"]),
         (&["score", "--narration", "[Teleport] <mug> (1)"], &["unknown action `Teleport`", "`walk`"]),
         (&["model", "check", "nope"], &["model file nope", "check the path"]),
         (&["model", "info", &json], &[r#"starts with "{\n \"", not with"#]),

@@ -126,6 +126,33 @@ impl Voice<'_> {
         }
     }
 
+    /// The forecast of each person, a topic per horizon.
+    fn tell_persons(&mut self, message: &PersonForecastsV1, horizons_s: &[f64], now_ns: u64) {
+        let mut topics = BTreeSet::new();
+        for (person, name) in message.persons().iter().zip(person_topics(message.persons())) {
+            for ahead_s in horizons_s {
+                let header = self.header(now_ns.saturating_sub(message.computed_ns));
+                let topic = self.topic(&format!("person/{name}{}", horizon(*ahead_s)));
+                self.say(&topic, Kept::Last, &of_person(message, person, *ahead_s, header));
+                topics.insert(topic);
+            }
+        }
+        // The number of persons in a message is bounded. A forgotten person, or one of those observed longest ago, has no topic.
+        self.keep(&self.topic("person/"), &topics);
+    }
+
+    /// Draws the rooms as they are probably occupied now.
+    fn mark(&mut self, places: &Places, forecast: &ForecastV1, now_ns: u64) {
+        let age_ns = now_ns.saturating_sub(forecast.computed_ns);
+        let occupied = |room: &Partition| {
+            let row = forecast.rooms().find(|(id, _)| *id == room.id);
+            row.map_or(0.0, |(_, row)| probability_at(forecast.horizons_s(), row, age_ns as f64 / 1e9))
+        };
+        let shown: Vec<_> = places.rooms.iter().map(|room| (room, occupied(room))).collect();
+        let header = self.header(0);
+        self.say("markers", Kept::Last, &markers(&shown, &header));
+    }
+
     fn header(&self, age_ns: u64) -> Header {
         Header::of_unix_ns(clock::unix_ns().saturating_sub(age_ns), &self.config.frame)
     }
@@ -184,17 +211,7 @@ pub fn run(
             && of_persons != Some((message.epoch, message.computed_ns))
         {
             of_persons = Some((message.epoch, message.computed_ns));
-            let mut topics = BTreeSet::new();
-            for (person, name) in message.persons().iter().zip(person_topics(message.persons())) {
-                for ahead_s in &horizons_s {
-                    let header = voice.header(now_ns.saturating_sub(message.computed_ns));
-                    let topic = voice.topic(&format!("person/{name}{}", horizon(*ahead_s)));
-                    voice.say(&topic, Kept::Last, &of_person(&message, person, *ahead_s, header));
-                    topics.insert(topic);
-                }
-            }
-            // The number of persons in a message is bounded. A forgotten person, or one of those observed longest ago, has no topic.
-            voice.keep(&voice.topic("person/"), &topics);
+            voice.tell_persons(&message, &horizons_s, now_ns);
         }
         if let Some(mask) = &places.mask
             && !values.is_empty()
@@ -211,14 +228,7 @@ pub fn run(
             && marked.is_none_or(|marked| marked.elapsed() >= SECOND)
         {
             marked = Some(Instant::now());
-            let age_ns = now_ns.saturating_sub(forecast.computed_ns);
-            let occupied = |room: &Partition| {
-                let row = forecast.rooms().find(|(id, _)| *id == room.id);
-                row.map_or(0.0, |(_, row)| probability_at(forecast.horizons_s(), row, age_ns as f64 / 1e9))
-            };
-            let shown: Vec<_> = places.rooms.iter().map(|room| (room, occupied(room))).collect();
-            let header = voice.header(0);
-            voice.say("markers", Kept::Last, &markers(&shown, &header));
+            voice.mark(places, forecast, now_ns);
         }
         if told.is_none_or(|told| told.elapsed() >= SECOND) {
             told = Some(Instant::now());
