@@ -68,8 +68,23 @@ impl BridgeError {
     }
 }
 
-/// What a thread of this program runs.
-type Part<'a> = Box<dyn FnOnce() -> Result<(), IpcError> + Send + 'a>;
+/// Starts a part of this program. If one part ends, all end.
+fn start<'scope>(
+    scope: &'scope thread::Scope<'scope, '_>,
+    stop: &'scope Stop,
+    name: &str,
+    run: impl FnOnce() -> Result<(), IpcError> + Send + 'scope,
+) -> Result<thread::ScopedJoinHandle<'scope, Result<(), IpcError>>, BridgeError> {
+    let part = move || {
+        let _ends = stop.at_end();
+        run()
+    };
+    thread::Builder::new().name(name.to_owned()).spawn_scoped(scope, part).map_err(|error| {
+        // Threads that run already must end, too.
+        stop.request();
+        BridgeError::Thread(error)
+    })
+}
 
 /// Runs until asked to stop.
 ///
@@ -98,40 +113,30 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
     let peer_ear = &peer_ear;
     let ended = thread::scope(|scope| {
         let domain = &domain;
-        // If one thread ends, all end.
-        let start = |name: &str, run: Part<'_>| {
-            let part = move || {
-                let _ends = stopper.at_end();
-                run()
-            };
-            thread::Builder::new().name(name.to_owned()).spawn_scoped(scope, part).map_err(|error| {
-                // Threads that run already must end too.
-                stopper.request();
-                BridgeError::Thread(error)
-            })
-        };
-        let inward = start("inward", Box::new(move || inward::run(config, domain, link, &heard, &wanting, stopper)))?;
+        let inward =
+            start(scope, stopper, "inward", move || inward::run(config, domain, link, &heard, &wanting, stopper))?;
         let mut threads = Vec::new();
         if !ask::allowed(&config.ask).is_empty() {
-            threads.push(start("ask", Box::new(move || ask::run(config, domain, &asked, stopper)))?);
+            threads.push(start(scope, stopper, "ask", move || ask::run(config, domain, &asked, stopper))?);
         }
         if config.peers.hear {
             let listen = move || peers::run(config, domain, link, (peer_ear, &peers_heard), stopper);
-            threads.push(start("peers", Box::new(listen))?);
+            threads.push(start(scope, stopper, "peers", listen)?);
         }
         if let Some(link) = link.filter(|_| config.habits.share) {
             let share = move || habits::run(config, domain, link, last_told, stopper);
-            threads.push(start("habits", Box::new(share))?);
+            threads.push(start(scope, stopper, "habits", share)?);
         }
         let tells_understood = config.narrator.iter().any(|narrator| narrator.understood);
         if let Some(link) = link.filter(|_| tells_understood) {
             let keys = Keys::new(&config.site.name, config.robot.key());
-            threads
-                .push(start("understood", Box::new(move || understood::run(&keys, domain, link, &wanted, stopper)))?);
+            threads.push(start(scope, stopper, "understood", move || {
+                understood::run(&keys, domain, link, &wanted, stopper)
+            })?);
         }
         if let Some((places, link)) = ros2 {
             let speak = move || ros2::run::run(&config.ros2, places, domain, link, ros2_ear, stopper);
-            threads.push(start("ros2", Box::new(speak))?);
+            threads.push(start(scope, stopper, "ros2", speak)?);
         }
         notify(&[NotifyState::Ready]);
         // The watchdog is fed only while narration is forwarded.
