@@ -1,4 +1,4 @@
-//! llama.cpp's state of the whole process: its log, its kernels, and what it was compiled with.
+//! llama.cpp's state of the whole process: its log, its kernels, and its compiled features.
 
 use std::sync::{Mutex, OnceLock};
 
@@ -25,7 +25,7 @@ pub fn backend() -> Result<&'static LlamaBackend, String> {
     Ok(BACKEND.get_or_init(|| backend))
 }
 
-/// Loads the kernels that fit this processor best, from `../lib/roomcast` beside the program. Never from the folder of the build: on a user's
+/// Loads the best kernels for this processor from `../lib/roomcast` beside the program. It never uses the folder of the build: on a user's
 /// machine, another user could create that folder.
 #[cfg(feature = "portable")]
 fn load_kernels() -> Result<(), String> {

@@ -1,9 +1,9 @@
-//! Rows of logits: which of them came, and what they say of a trie's labels.
+//! Rows of logits: a check that all came, and the probabilities of a trie's nodes.
 
 use super::{ModelError, softmax};
 use crate::label_trie::{END, LabelTrie, Token};
 
-/// The rows of logits that a call of [`super::LanguageModel::decode`] must visit, and those that it visited. A model of another author may miss one.
+/// The rows of logits that a call of [`super::LanguageModel::decode`] must visit, and the visited ones. A model of another author may miss one.
 #[derive(Debug, Default)]
 pub(super) struct Rows {
     /// Row 0 follows the prompt.

@@ -153,7 +153,7 @@ impl Node {
         }
     }
 
-    /// Frees the places of a service whose participants have no entry any more. iceoryx2 removes the port tag of a dead participant before
+    /// Frees a service's places of participants without an entry. iceoryx2 removes the port tag of a dead participant before
     /// its place. If the process that cleans up is killed in between, iceoryx2 skips the place without a tag
     /// (`PortCleanupAction::SkipPort`) and still removes the participant. The place would be taken for ever.
     pub(crate) fn free_places_of_nobody(&self, places: &[Place], service: &ServiceHash) {

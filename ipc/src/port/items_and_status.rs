@@ -1,4 +1,4 @@
-//! Two ports of their own kind: item scores have a slice, and the status answers questions.
+//! Two special ports: item scores have a slice, and the status answers questions.
 
 use std::cell::{Cell, RefCell};
 use std::fmt::Debug;
@@ -90,8 +90,8 @@ impl ItemScoresPublisher {
         Ok(())
     }
 
-    /// Sends the history to new subscribers. Returns whether the first subscriber joined. It may find no history, since nothing was sent
-    /// before.
+    /// Sends the history to new subscribers. Returns whether the first subscriber joined. The history may be
+    /// empty.
     ///
     /// # Errors
     ///

@@ -1,4 +1,4 @@
-//! Names on a plan: of rooms and furniture, each where it covers least.
+//! Names of rooms and furniture on a plan. Each name has the place with the least covered drawing.
 
 use roomcast_core::semantic_map::Space;
 use svg::node::element::{Group, Rectangle};
