@@ -47,7 +47,8 @@ impl Awake {
                 self.until = None;
                 return wait(end - now);
             }
-            std::hint::spin_loop();
+            // The message may come from a process that waits for this core.
+            std::thread::yield_now();
         }
     }
 }

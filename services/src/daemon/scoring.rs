@@ -422,8 +422,9 @@ impl<M: LanguageModel> Scoring<M> {
 
     fn send_about_persons(&mut self, now_ns: BootNs) -> Result<(), IpcError> {
         self.ports.forecasts.send(self.cycle.engine_mut().forecast(now_ns))?;
-        self.ports.persons.send(self.cycle.engine_mut().person_scores(now_ns))?;
         self.ports.person_forecasts.send(self.cycle.engine_mut().person_forecasts(now_ns))?;
+        // The planner does not wait for these.
+        self.ports.persons.send(self.cycle.engine_mut().person_scores(now_ns))?;
         Ok(())
     }
 

@@ -25,6 +25,8 @@ use crate::stop::Stop;
 
 /// The longest wait of decisions for the forecast of the scores and the persons' sets, which follow directly.
 const FORECAST_PATIENCE: Duration = Duration::from_millis(5);
+/// For so many microseconds the planner polls for them, since they come sooner than a sleeping process wakes.
+const FORECAST_POLL_US: u64 = 300;
 /// Earlier messages of other planners and the bridge arrive within two of their ticks; decisions of a new planner wait for them.
 const HISTORY_PATIENCE: Duration = Duration::from_millis(250);
 const QUIET_NS: u64 = 5_000_000_000;
@@ -74,6 +76,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let (mut snapshot, mut newest) = (Box::<RoomScoresV1>::default(), Newest::default());
     let mut other = DecisionV1::default();
     let (mut early, mut awake) = (VecDeque::new(), Awake::new(config.ipc.spin_us));
+    let mut for_forecasts = Awake::new(config.ipc.spin_us.max(FORECAST_POLL_US));
     // If two robots go to one room, one of them must leave at once.
     let mut awaited: Vec<&dyn Awaited> = vec![&scores, &reports];
     awaited.extend(others.iter().map(|others| others as &dyn Awaited));
@@ -95,12 +98,13 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
         }
         if has_scores {
             awake.heard();
+            for_forecasts.heard();
         }
         let waits_until = Instant::now() + FORECAST_PATIENCE;
         while !take_forecasts(&mut planner, (&forecasts, &persons), &mut newest, &mut log)? && has_scores {
             let left = waits_until.saturating_duration_since(Instant::now());
             let wait = |left| roomcast_ipc::wait_for_any(&behind_scores, left);
-            if left.is_zero() || !awake.wait(left, wait)? {
+            if left.is_zero() || !for_forecasts.wait(left, wait)? {
                 break;
             }
         }
