@@ -29,7 +29,7 @@ use crate::{IpcError, clock};
 mod guards;
 mod node;
 
-use guards::{Guardian, LastOut, Only};
+use guards::{LastOut, Only, Watch};
 pub use node::Node;
 use node::{refuse_too_little_memory, too_many_files};
 
@@ -62,7 +62,11 @@ const JOINED_WITHIN: Duration = Duration::from_secs(10);
 /// An unfinished service is being created, or its creator was killed. After this time the creator counts as killed. The time is less than
 /// [`OPEN_FOR`], so that other participants can open the service.
 const MADE_WITHIN: Duration = Duration::from_secs(2);
-/// The interval of the guardian's looks.
+/// Ended publishers whose messages a subscriber can still take: four times the most that are open at once.
+const ENDED_PUBLISHERS: usize = 32;
+/// The same for ended participants of a request: the most that are open at once.
+const ENDED_CLIENTS: usize = 8;
+/// The interval of the watch's looks.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
 
 fn user() -> String {
@@ -177,7 +181,7 @@ impl Domain {
         self.prepare_root()?;
         self.refuse_foreign_shared_memory()?;
         refuse_too_little_memory()?;
-        // Joining fails on such memory, and the guardian's first look comes later.
+        // Joining fails on such memory, and the watch's first look comes later.
         self.remove_unmade_memory();
         // iceoryx2 logs to standard error, and returns the errors as well.
         iceoryx2::prelude::set_log_level(LogLevel::Fatal);
@@ -188,7 +192,7 @@ impl Domain {
             participant.chars().map(|c| if c.is_ascii_graphic() || c == ' ' { c } else { '?' }).collect();
         let name =
             NodeName::new(&shown).map_err(|error| join(format!("participant {participant:?}: {error:?}").into()))?;
-        let guardian = Guardian::start(self).map_err(|error| join(error.into()))?;
+        let watch = Watch::start(self).map_err(|error| join(error.into()))?;
         let node = NodeBuilder::new()
             .name(&name)
             .config(&config)
@@ -207,7 +211,7 @@ impl Domain {
             tell: None,
             _last: LastOut(self.clone()),
             _only: None,
-            _guardian: guardian,
+            _watch: watch,
         })
     }
 
@@ -538,6 +542,10 @@ impl Domain {
         config.global.set_root_path(&root);
         let bad_name = |_| IpcError::BadDomainName { name: self.name.clone(), limit: name_limit() };
         config.global.prefix = FileName::new(self.prefix().as_bytes()).map_err(bad_name)?;
+        // Each place takes 3.6 KB of a receiving port, which looks at all of them for each message. iceoryx2 has 128 places.
+        config.defaults.publish_subscribe.subscriber_expired_connection_buffer = ENDED_PUBLISHERS;
+        config.defaults.request_response.client_expired_connection_buffer = ENDED_CLIENTS;
+        config.defaults.request_response.server_expired_connection_buffer = ENDED_CLIENTS;
         Ok(config)
     }
 }

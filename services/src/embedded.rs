@@ -116,10 +116,23 @@ impl ModelFile {
     }
 }
 
+/// Gives the memory of [`MODEL`] back to the system. Only loading reads the model; a later read gets it from the program's file again.
+pub fn release_model() {
+    // The largest page of any Linux.
+    const PAGE_BYTES: usize = 1 << 16;
+    let before = MODEL.as_ptr().align_offset(PAGE_BYTES).min(MODEL.len());
+    let whole = &MODEL[before..][..(MODEL.len() - before) / PAGE_BYTES * PAGE_BYTES];
+    let start = whole.as_ptr().cast_mut().cast();
+    #[expect(unsafe_code, reason = "the system call can change memory")]
+    // SAFETY: these pages belong to a constant in the program's file, and nobody wrote to them. So what is dropped is read from the file again.
+    let _released = unsafe { rustix::mm::madvise(start, whole.len(), rustix::mm::Advice::LinuxDontNeed) };
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use roomcast_llama::gguf::Header;
+    use sha2::{Digest, Sha256};
 
     #[test]
     fn the_embedded_model_is_a_sound_language_model_of_at_most_7_mebibytes() {
@@ -128,6 +141,9 @@ mod tests {
         assert_eq!(header.architecture(), Some("llama"));
         assert_eq!(header.size_bytes, MODEL.len() as u64);
         assert!(MODEL.len() <= 7 << 20);
+        let digest = Sha256::digest(MODEL);
+        release_model();
+        assert_eq!(Sha256::digest(MODEL), digest, "a released model is read again");
     }
 
     #[test]

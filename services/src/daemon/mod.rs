@@ -191,6 +191,7 @@ fn run_with<M: LanguageModel + Send + 'static>(
     };
     let Loaded { engine, ahead, kept_map, token_counter } = loaded?;
     memory::return_freed();
+    embedded::release_model();
     let mut cycle = Cycle::new(engine, config.daemon.heartbeat_ms * 1_000_000);
     let sentence_tokens_max = Arc::new(AtomicUsize::new(cycle.engine().sentence_tokens_max()));
     let mut intake = Intake::new(config.daemon.intake)
@@ -378,7 +379,7 @@ fn restore<M: LanguageModel>(recovered: Recovered, cycle: &mut Cycle<M>, intake:
             reason,
             rows,
             path = %path.display(),
-            "the state database is damaged and was set prefetching: a new one begins with the rows that could be read, and other events are lost"
+            "the state database is damaged and was set aside: a new one begins with the rows that could be read, and other events are lost"
         );
     }
     if damaged > 0 {
