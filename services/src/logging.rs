@@ -4,6 +4,7 @@
 //! may wait, and further lines are lost: the log never delays the scorer.
 
 use std::io::{self, IsTerminal, Write};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -29,11 +30,25 @@ const LINES_MAX: usize = 8_192;
 /// The longest time that the end of the program waits for the last lines.
 const LAST_LINES: Duration = Duration::from_secs(1);
 
+/// The first writer of the process, for [`finish`].
+static WRITER: OnceLock<Writer> = OnceLock::new();
+
 /// Keeps the log's thread alive. The drop writes the waiting lines, for a second at most.
 #[must_use = "the log ends when this is dropped"]
 #[derive(Debug)]
 pub struct Log {
-    _writer: Option<Writer>,
+    writer: Option<Writer>,
+}
+
+impl Drop for Log {
+    fn drop(&mut self) {
+        self.writer.iter().for_each(Writer::finish);
+    }
+}
+
+/// Writes the waiting lines and ends the log, for an end of the process without drops.
+pub(crate) fn finish() {
+    WRITER.get().into_iter().for_each(Writer::finish);
 }
 
 /// The filter of a text: `info,roomcast=debug`, with or without spaces, and without the fields and spans of other filters.
@@ -67,7 +82,7 @@ pub fn init() -> Log {
     let log = match journal {
         Some(journal) => {
             let _set = registry.with(journal).try_init();
-            Log { _writer: None }
+            Log { writer: None }
         }
         None => {
             let colours = io::stderr().is_terminal();
@@ -84,7 +99,11 @@ pub fn init() -> Log {
                     "no thread can be started for the log, so what is logged may hold up what acts; is a limit on tasks set too low?"
                 );
             }
-            Log { _writer: started.map(|(_, writer)| writer) }
+            let writer = started.map(|(_, writer)| writer);
+            if let Some(writer) = &writer {
+                let _earlier = WRITER.set(writer.clone());
+            }
+            Log { writer }
         }
     };
     if let Some(error) = refused {
@@ -111,14 +130,14 @@ impl Write for Lines {
     }
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Writer {
     lines: Sender<Vec<u8>>,
     ended: Receiver<()>,
 }
 
-impl Drop for Writer {
-    fn drop(&mut self) {
+impl Writer {
+    fn finish(&self) {
         if self.lines.send_timeout(Vec::new(), LAST_LINES).is_ok() {
             // When the channel closes, the thread has ended.
             let _ended = self.ended.recv_timeout(LAST_LINES);

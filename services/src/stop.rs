@@ -13,6 +13,8 @@ use signal_hook::consts::{SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::flag;
 use signal_hook::low_level::{self, pipe};
 
+use crate::logging;
+
 /// Signals closer together are one request: `timeout` and terminals send theirs to a process and again to its group.
 const SAME_REQUEST: Duration = Duration::from_millis(500);
 
@@ -70,6 +72,7 @@ impl Stop {
                 }
                 asked.request();
                 if asked.at_once.load(Ordering::SeqCst) {
+                    logging::finish();
                     low_level::exit(0);
                 }
                 if first.get_or_insert_with(Instant::now).elapsed() >= SAME_REQUEST {
