@@ -1,3 +1,5 @@
+//! Text in the width of the terminal.
+
 use std::io::{self, IsTerminal};
 
 use textwrap::{Options, WordSeparator, WordSplitter, WrapAlgorithm};

@@ -1,3 +1,5 @@
+//! The words of the messages' flags.
+
 use roomcast_ipc::raw::{decision_flags, forecast_flags, score_flags};
 
 fn set(flags: u32, names: &[(u32, &'static str)]) -> Vec<&'static str> {

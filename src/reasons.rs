@@ -1,4 +1,4 @@
-//! Reasons for beliefs: one line a person, from the daemon.
+//! Reasons for beliefs in words: one line a person, from the daemon's answer.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};

@@ -1,4 +1,4 @@
-//! One moment of a running system: all data behind its scores, as the daemon and recordings have it.
+//! One published snapshot with all data behind its scores, as the daemon answers it and recordings store it.
 //!
 //! A moment is data, and JSON between processes (`roomcast/v1/moment`): the map in use, the narration that the model read, and each label's
 //! tokens with their log-probabilities. The pure functions of [`roomcast_core::grounding`] and [`roomcast_core::explanation`] compute

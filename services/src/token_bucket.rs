@@ -1,4 +1,4 @@
-//! Limits a rate with a burst. Pure: time is an argument.
+//! A rate limit with a burst, for the ports of `intake.rs` and the narrators' lines. Pure: time is an argument.
 
 use std::time::Duration;
 

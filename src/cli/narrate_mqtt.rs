@@ -1,3 +1,5 @@
+//! `roomcast narrate --mqtt`: rules turn messages of a broker into events.
+
 use std::path::Path;
 use std::thread::JoinHandle;
 use std::time::Duration;

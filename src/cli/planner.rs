@@ -1,3 +1,5 @@
+//! `roomcast planner`: arguments and start.
+
 use std::path::PathBuf;
 
 use super::choice::{self, choice};

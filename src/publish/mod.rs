@@ -82,8 +82,17 @@ pub enum Way<'a> {
     },
 }
 
+impl<'a> Way<'a> {
+    fn broker(&self) -> Option<&'a Broker> {
+        match self {
+            Self::Broker(broker) => Some(broker),
+            Self::Print { .. } => None,
+        }
+    }
+}
+
 /// Handles the broker's messages, among them its retained ones.
-struct Ears {
+struct Incoming {
     discovery: String,
     node: String,
     base: String,
@@ -104,7 +113,7 @@ fn fits(filter: &str, topic: &str) -> bool {
     !topic.contains(['+', '#', '\0']) && filter.len() == levels.len() && filter.iter().zip(&levels).all(is_wanted)
 }
 
-impl Ears {
+impl Incoming {
     fn new(config: &Config) -> Self {
         let (base, node) = (config.bridge.topic.clone(), discovery::node(&config.bridge));
         Self {
@@ -187,6 +196,18 @@ struct Ports {
 }
 
 impl Ports {
+    fn open(node: &Node) -> Result<Self, IpcError> {
+        Ok(Self {
+            scores: node.subscriber()?,
+            forecasts: node.subscriber()?,
+            persons: node.subscriber()?,
+            decisions: node.subscriber()?,
+            reports: node.subscriber().ok(),
+            log: Limiter::new(QUIET_NS),
+            message: Box::default(),
+        })
+    }
+
     fn take(&mut self, known: &mut Known, own: &str) -> Result<(), IpcError> {
         let Self { scores, forecasts, persons, decisions, reports, log, message } = self;
         let (of_rooms, forecast, of_persons, decision, report) = &mut **message;
@@ -212,7 +233,7 @@ impl Ports {
 }
 
 /// Passes what comes from the broker on to the daemon and to the planners. Both ways open with the first order.
-struct Desk<'a> {
+struct Forwarder<'a> {
     config: &'a Config,
     domain: &'a Domain,
     node: &'a Node,
@@ -221,7 +242,7 @@ struct Desk<'a> {
     corrections: Option<SyncSender<Item>>,
 }
 
-impl Desk<'_> {
+impl Forwarder<'_> {
     /// Takes a correction or an order; a wrong one is a warning.
     fn take(&mut self, heard: &Heard, orders: &mut Orders, known: &Known) -> Result<(), BridgeError> {
         let topic = &heard.topic;
@@ -255,6 +276,15 @@ impl Desk<'_> {
     }
 }
 
+/// Whether a time has passed since `last`, which then becomes now.
+fn is_due(last: &mut Option<Instant>, every: Duration) -> bool {
+    let is_due = last.is_none_or(|last| last.elapsed() >= every);
+    if is_due {
+        *last = Some(Instant::now());
+    }
+    is_due
+}
+
 /// Publishes until asked to stop, or, with `once`, until everything was printed.
 ///
 /// # Errors
@@ -262,70 +292,50 @@ impl Desk<'_> {
 /// [`BridgeError`] if a service or the broker's configuration is unusable, or no daemon publishes scores.
 pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> Result<(), BridgeError> {
     let node = domain.open("roomcast-publish")?;
-    let mut ports = Ports {
-        scores: node.subscriber()?,
-        forecasts: node.subscriber()?,
-        persons: node.subscriber()?,
-        decisions: node.subscriber()?,
-        reports: node.subscriber().ok(),
-        log: Limiter::new(QUIET_NS),
-        message: Box::default(),
-    };
+    let mut ports = Ports::open(&node)?;
     let status = node.status_client()?;
     let mut reasons = Reasons::new(&node)?;
-    let mut ears = Ears::new(config);
-    let link = match &way {
-        Way::Broker(broker) => Some(open(config, broker, &ears)?),
-        Way::Print { .. } => None,
-    };
+    let mut incoming = Incoming::new(config);
+    let link = way.broker().map(|broker| open(config, broker, &incoming)).transpose()?;
     notify(&[NotifyState::Ready]);
-    let advisor = Planner::for_advice(config);
-    let mut known = Known::default().with_advisor(advisor);
-    let mut desk = Desk { config, domain, node: &node, stop, reports: None, corrections: None };
+    let mut known = Known::default().with_advisor(Planner::for_advice(config));
+    let mut forwarder = Forwarder { config, domain, node: &node, stop, reports: None, corrections: None };
     // Printed messages are not retained.
-    let mut outbox = match &link {
-        Some(_) => Outbox::with_list(&ears.base, &ears.node),
-        None => Outbox::default(),
-    };
+    let mut outbox = link.as_ref().map_or_else(Outbox::default, |_| Outbox::with_list(&incoming.base, &incoming.node));
     let silent_ns = SILENCE_NS.max(config.daemon.heartbeat_ms.saturating_mul(1_000_000 * HEARTBEATS));
     let interval = Duration::from_secs_f64(config.bridge.interval_s);
     let start = Instant::now();
-    let (mut connection, mut drawn, mut asked, mut watchdog) =
-        (0, None::<Instant>, None::<Instant>, Watchdog::default());
-    let (mut looked, mut connected, mut healed) = (None::<Instant>, start, start);
+    let (mut connection, mut connected, mut watchdog) = (0, start, Watchdog::default());
+    let (mut drawn, mut asked, mut looked, mut healed) = (None, None, None, Some(start));
     while !stop.requested() {
         ports.scores.wait(TICK)?;
         ports.take(&mut known, &config.planner.robot)?;
         let alive = known.silence_ns(clock::monotonic_ns()).is_some_and(|silence_ns| silence_ns <= silent_ns);
-        if alive && asked.is_none_or(|asked| asked.elapsed() >= ASK_AGAIN) {
-            asked = Some(Instant::now());
+        if alive && is_due(&mut asked, ASK_AGAIN) {
             known.take_status(status.ask(PATIENCE).ok());
         }
         // A planner may end right after its first decision.
-        if known.take_new_robot() || looked.is_none_or(|looked| looked.elapsed() >= LOOK_AGAIN) {
-            looked = Some(Instant::now());
+        if known.take_new_robot() | is_due(&mut looked, LOOK_AGAIN) {
             // A failed list changes nothing; the next one will show the participants.
             if let Ok(participants) = node.participants() {
                 known.take_planners(&participants, &config.planner.robot);
             }
         }
         if let Some(link) = &link {
-            let (now, ordered) = listen(link, connection, &mut ears, &mut outbox);
+            let (now, ordered) = listen(link, connection, &mut incoming, &mut outbox);
             for order in &ordered {
-                desk.take(order, &mut ears.orders, &known)?;
+                forwarder.take(order, &mut incoming.orders, &known)?;
             }
             // A new planner gets the last orders.
-            desk.reports.as_ref().map(Publisher::tick).transpose()?;
+            forwarder.reports.as_ref().map(Publisher::tick).transpose()?;
             connected = if connection == now { connected } else { Instant::now() };
             connection = now;
         }
-        if healed.elapsed() >= HEAL_EVERY {
-            healed = Instant::now();
+        if is_due(&mut healed, HEAL_EVERY) {
             outbox.heal();
         }
-        if drawn.is_none_or(|drawn| drawn.elapsed() >= interval) {
-            drawn = Some(Instant::now());
-            let complete = known.is_complete() && (ears.all || link.is_none());
+        if is_due(&mut drawn, interval) {
+            let complete = known.is_complete() && (incoming.all || link.is_none());
             if alive && let Some(reasons) = reasons.refresh(known.persons_known().into_iter()) {
                 known.take_reasons(reasons);
             }
@@ -334,7 +344,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
         }
         match (&mut way, &link) {
             // The list of topics needs the broker's retained messages, so it comes first.
-            (Way::Broker(_), Some(link)) if ears.all || connected.elapsed() >= LISTEN => send(link, &mut outbox),
+            (Way::Broker(_), Some(link)) if incoming.all || connected.elapsed() >= LISTEN => send(link, &mut outbox),
             (Way::Print { once, print }, _) if known.is_complete() || !*once => {
                 // The picture was drawn before everything was known.
                 if *once {
@@ -348,8 +358,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
             (Way::Print { .. }, _) if start.elapsed() >= WAIT => return Err(BridgeError::NoDaemon),
             _ => {}
         }
-        let turns = |link: &Link| clock::monotonic_ns().since(link.turned_ns()) <= TURN_MAX_NS;
-        if link.as_ref().is_none_or(turns) {
+        if link.as_ref().is_none_or(|link| clock::monotonic_ns().since(link.turned_ns()) <= TURN_MAX_NS) {
             watchdog.lives();
         }
     }
@@ -386,15 +395,15 @@ fn send_corrections(config: &Config, domain: &Domain, stop: &Stop) -> Result<Syn
 ///
 /// [`BridgeError`] if the broker cannot be reached or refuses.
 pub fn remove(config: &Config, broker: &Broker, stop: &Stop) -> Result<(), BridgeError> {
-    let mut ears = Ears::new(config);
-    let link = Link::start(broker, ears.filters(), None)?;
-    let (mut outbox, mut connection, start) = (Outbox::with_list(&ears.base, &ears.node), 0, Instant::now());
+    let mut incoming = Incoming::new(config);
+    let link = Link::start(broker, incoming.filters(), None)?;
+    let (mut outbox, mut connection, start) = (Outbox::with_list(&incoming.base, &incoming.node), 0, Instant::now());
     while !stop.requested() {
         std::thread::sleep(TICK);
-        (connection, _) = listen(&link, connection, &mut ears, &mut outbox);
-        outbox.want(Picture::new(), ears.all);
+        (connection, _) = listen(&link, connection, &mut incoming, &mut outbox);
+        outbox.want(Picture::new(), incoming.all);
         send(&link, &mut outbox);
-        if connection > 0 && ears.all && outbox.is_done() && link.unconfirmed() == 0 {
+        if connection > 0 && incoming.all && outbox.is_done() && link.unconfirmed() == 0 {
             link.leave();
             return Ok(());
         }
@@ -405,22 +414,23 @@ pub fn remove(config: &Config, broker: &Broker, stop: &Stop) -> Result<(), Bridg
     Ok(())
 }
 
-fn open(config: &Config, broker: &Broker, ears: &Ears) -> Result<Link, MqttError> {
+fn open(config: &Config, broker: &Broker, incoming: &Incoming) -> Result<Link, MqttError> {
     let will = Will { topic: format!("{}/status", config.bridge.topic), payload: OFFLINE.to_owned() };
-    Link::start(broker, ears.filters(), Some(will))
+    Link::start(broker, incoming.filters(), Some(will))
 }
 
 /// Handles the broker's messages. Returns the number of the connection, and persons' orders. A retained order is old and ignored.
-fn listen(link: &Link, before: u64, ears: &mut Ears, outbox: &mut Outbox) -> (u64, Vec<Heard>) {
+fn listen(link: &Link, before: u64, incoming: &mut Incoming, outbox: &mut Outbox) -> (u64, Vec<Heard>) {
     let mut connection = link.connection();
     if connection != before {
         outbox.lose();
-        if connection > 0 && !ears.connect(link) {
+        if connection > 0 && !incoming.connect(link) {
             connection = 0;
         }
     }
-    let (orders, others): (Vec<_>, Vec<_>) = link.heard().into_iter().partition(|heard| ears.orders.has(&heard.topic));
-    others.into_iter().for_each(|heard| ears.hear(heard, outbox));
+    let (orders, others): (Vec<_>, Vec<_>) =
+        link.heard().into_iter().partition(|heard| incoming.orders.has(&heard.topic));
+    others.into_iter().for_each(|heard| incoming.hear(heard, outbox));
     (connection, orders.into_iter().filter(|heard| !heard.retained).collect())
 }
 

@@ -248,7 +248,7 @@ fn robots_have_their_planners_names_and_go_with_them() {
 /// Row "somebody else below our topics" of the attacks.
 #[test]
 fn only_what_an_earlier_run_has_listed_is_found() {
-    let mut ears = Ears::new(&Config::default());
+    let mut incoming = Incoming::new(&Config::default());
     let heard = |topic: &str, payload: &str| Heard { topic: topic.into(), payload: payload.into(), retained: true };
     let entity = r#"{"origin": {"name": "roomcast"}, "device": {"identifiers": ["roomcast"]}}"#;
     let list = r##"{"origin": {"name": "roomcast"}, "node": "roomcast",
@@ -270,10 +270,10 @@ fn only_what_an_earlier_run_has_listed_is_found() {
         heard("homeassistant/sensor/roomcast/x/config", r#"{"origin": {"name": "else"}}"#),
     ];
     let mut outbox = Outbox::with_list("roomcast", "roomcast");
-    said.into_iter().for_each(|said| ears.hear(said, &mut outbox));
-    let marker = Heard { topic: ears.marker.clone(), payload: ears.nonce.clone().into(), retained: false };
-    ears.hear(marker, &mut outbox);
-    assert!(ears.all);
+    said.into_iter().for_each(|said| incoming.hear(said, &mut outbox));
+    let marker = Heard { topic: incoming.marker.clone(), payload: incoming.nonce.clone().into(), retained: false };
+    incoming.hear(marker, &mut outbox);
+    assert!(incoming.all);
     let mut removed = Vec::new();
     for _ in 0..8 {
         outbox.want(Picture::new(), true);

@@ -643,7 +643,7 @@ fn a_map_of_unknown_words_is_flagged_whatever_is_narrated() {
     assert!(pipeline.step([observation(1, "They open the fridge.")]).unwrap().trust < 1.0);
 }
 
-fn studio_board(model: LlamaModel) -> Engine<LlamaModel> {
+fn studio_engine(model: LlamaModel) -> Engine<LlamaModel> {
     let (map, options) = (studio(), GroundingOptions::default());
     let grounding = Grounding::new(&map, &options).unwrap();
     let options_of = PipelineOptions { history: HistoryLimits::default(), ..PipelineOptions::default() };
@@ -667,7 +667,7 @@ fn narrated(engine: &mut Engine<LlamaModel>, from_s: u64, sentences: &[&str]) ->
 
 #[test]
 fn a_forecast_after_a_sentence_in_another_language_stays_in_the_known_room_and_says_so() {
-    let mut engine = studio_board(model(64));
+    let mut engine = studio_engine(model(64));
     narrated(&mut engine, 1, &["They open the fridge."]);
     let (flags, known) = narrated(&mut engine, 2, &["They close the fridge."]);
     assert_eq!(flags, [0; 3]);
@@ -707,7 +707,7 @@ fn scores_of_a_model_with_random_weights_are_flagged_and_no_part_of_a_forecast()
     let random = load(&reversed(embedded::MODEL));
     let reason = random.info().weakness.clone().unwrap();
     assert!(reason.contains("twelve common things"), "{reason}");
-    let mut engine = studio_board(random);
+    let mut engine = studio_engine(random);
     let (flags, rooms) = narrated(&mut engine, 1, &["They open the fridge.", "They close the fridge."]);
     assert_eq!(flags, [score_flags::MODEL_WEAK, forecast_flags::MODEL_WEAK, person_flags::UNFAMILIAR]);
     let kitchen = engine.snapshot().rooms().iter().position(|room| room.id() == "kitchen").unwrap();

@@ -1368,7 +1368,7 @@ impl World {
         let accepted = self.accepted.len();
         // Beliefs from another map concern other rooms.
         let ghost =
-            (whole && self.tally.map_changes == 0).then(|| Ghost { engine: daemon.cycle.into_board(), accepted });
+            (whole && self.tally.map_changes == 0).then(|| Ghost { engine: daemon.cycle.into_engine(), accepted });
         self.ghost = ghost;
         for lost in self.accepted.split_off(kept) {
             let name = lost.id();

@@ -10,7 +10,8 @@
 #![expect(clippy::unwrap_used, reason = "a measurement that cannot be made ends")]
 
 use std::io::{Read, Write};
-use std::process::{Command, Stdio};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
@@ -32,7 +33,7 @@ fn open(port: &str) -> Session {
 }
 
 /// Gives the time and the bytes of each message of a key.
-fn ear(session: &Session, key: &str) -> Receiver<(u64, Vec<u8>)> {
+fn inlet(session: &Session, key: &str) -> Receiver<(u64, Vec<u8>)> {
     let (to, heard) = channel();
     let take = move |sample: zenoh::sample::Sample| {
         let _ended = to.send((clock::monotonic_ns(), sample.payload().to_bytes().into_owned()));
@@ -72,6 +73,17 @@ fn put(port: &str, bytes: usize) {
     }
 }
 
+fn start_bridge(program: &str, port: &str, folder: &Path, domain: &Domain) -> Child {
+    let config = folder.join("zenoh.toml");
+    let text = format!(
+        "[router]\nconnect = \"tcp/127.0.0.1:{port}\"\n[ipc]\nroot = {:?}\ndomain = \"hop\"\n[tell]\nrepeat_s = 3600.0\n",
+        domain.root()
+    );
+    std::fs::write(&config, text).unwrap();
+    let mut bridge = Command::new(program);
+    bridge.arg("robot").arg("--config").arg(&config).stderr(Stdio::null()).spawn().unwrap()
+}
+
 fn main() {
     let mut arguments = std::env::args().skip(1);
     let (port, program) = (arguments.next().unwrap(), arguments.next().unwrap());
@@ -81,19 +93,11 @@ fn main() {
     let count = arguments.next().map_or(2000, |count| count.parse::<u64>().unwrap());
     let folder = tempfile::Builder::new().prefix("rch-").tempdir_in("/tmp").unwrap();
     let domain = Domain::new(folder.path().join("d"), "hop").unwrap();
-    let config = folder.path().join("zenoh.toml");
-    let text = format!(
-        "[router]\nconnect = \"tcp/127.0.0.1:{port}\"\n[ipc]\nroot = {:?}\ndomain = \"hop\"\n[tell]\nrepeat_s = 3600.0\n",
-        domain.root()
-    );
-    std::fs::write(&config, text).unwrap();
-    let mut bridge = Command::new(program);
-    bridge.arg("robot").arg("--config").arg(&config).stderr(Stdio::null());
-    let mut bridge = bridge.spawn().unwrap();
+    let mut bridge = start_bridge(&program, &port, folder.path(), &domain);
     let node = domain.open("hop").unwrap();
     let decisions = node.publisher::<DecisionV1>().unwrap();
     let far = open(&port);
-    let (through, alone) = (ear(&far, "roomcast/home/robot/told/decision"), ear(&far, ALONE));
+    let (through, alone) = (inlet(&far, "roomcast/home/robot/told/decision"), inlet(&far, ALONE));
     let decision = DecisionV1 {
         robot: sequence::source_of_name("robot"),
         epoch: 7,

@@ -45,9 +45,9 @@ pub struct Heard {
 
 /// The end of the queue for subscribers.
 #[derive(Debug, Clone)]
-pub struct Ear(SyncSender<Heard>);
+pub struct Inlet(SyncSender<Heard>);
 
-impl Ear {
+impl Inlet {
     /// Queues a narrator's message, unless it is too long or the queue is full.
     pub fn take(&self, narrator: usize, payload: &ZBytes) {
         if payload.len() <= wire::BYTES_MAX {
@@ -60,9 +60,9 @@ impl Ear {
 
 /// Both ends of the queue.
 #[must_use]
-pub fn ear() -> (Ear, Receiver<Heard>) {
-    let (ear, heard) = sync_channel(HEARD_MAX);
-    (Ear(ear), heard)
+pub fn inlet() -> (Inlet, Receiver<Heard>) {
+    let (inlet, heard) = sync_channel(HEARD_MAX);
+    (Inlet(inlet), heard)
 }
 
 enum From {

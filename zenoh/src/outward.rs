@@ -28,7 +28,7 @@ const STATUS: Duration = Duration::from_secs(1);
 const ASK_AGAIN: Duration = Duration::from_secs(10);
 const PATIENCE: Duration = Duration::from_millis(200);
 /// If only decisions for other robots come for this long, a name is wrong: planners that start together decide within seconds.
-const STRANGERS_NS: u64 = 30_000_000_000;
+const OTHERS_ALONE_NS: u64 = 30_000_000_000;
 /// A daemon that is silent for this long is not asked.
 const SILENCE_NS: u64 = 2_000_000_000;
 
@@ -132,30 +132,40 @@ impl<M: Message> Topic<M> {
     }
 }
 
-/// Detects that the planner decides only for robots with other names. No I/O: the time is an argument.
+/// Detects that the planner decides only for robots with other names.
 #[derive(Debug, Default)]
-struct Strangers {
+struct OtherPlanners {
     /// Since when planners of this domain decide for other robots.
     since_ns: Option<u64>,
     /// A planner decides for this robot, or the warning was logged.
     is_settled: bool,
 }
 
-impl Strangers {
+impl OtherPlanners {
     fn hear(&mut self, is_own: bool, now_ns: u64) {
         self.is_settled |= is_own;
         self.since_ns.get_or_insert(now_ns);
     }
 
+    fn warn(&mut self, robot: &str) {
+        if self.are_alone(clock::monotonic_ns()) {
+            tracing::warn!(
+                robot,
+                "a planner decides for a robot of another name, and none for this one: give both one name (robot.name, planner.robot)"
+            );
+        }
+    }
+
     /// Whether to log the warning now, which happens once.
     fn are_alone(&mut self, now_ns: u64) -> bool {
-        let says = !self.is_settled && self.since_ns.is_some_and(|since| now_ns.saturating_sub(since) >= STRANGERS_NS);
+        let says =
+            !self.is_settled && self.since_ns.is_some_and(|since| now_ns.saturating_sub(since) >= OTHERS_ALONE_NS);
         self.is_settled |= says;
         says
     }
 }
 
-struct Mouth<'a> {
+struct Outlet<'a> {
     link: Option<&'a Link>,
     last: &'a Last,
     repeat: Duration,
@@ -164,7 +174,7 @@ struct Mouth<'a> {
     again: bool,
 }
 
-impl Mouth<'_> {
+impl Outlet<'_> {
     /// Stores a topic's newest message for queries, and publishes it if it follows from new scores or decisions. Repetitions by the service are not
     /// published.
     fn tell<M: Message>(&self, topic: &mut Topic<M>, name: (u64, u64, u64), told: impl FnOnce(&M) -> Told) {
@@ -233,8 +243,8 @@ pub fn run(
     let counters = node.status_client()?;
     let robot = sequence::source_of_name(&config.robot.name);
     let repeat = Duration::from_secs_f64(tell.repeat_s);
-    let mut mouth = Mouth { link, last, repeat, connections: 0, again: false };
-    let (mut log, mut published_ns, mut strangers) = (Limiter::default(), None::<u64>, Strangers::default());
+    let mut outlet = Outlet { link, last, repeat, connections: 0, again: false };
+    let (mut log, mut published_ns, mut others) = (Limiter::default(), None::<u64>, OtherPlanners::default());
     let (mut asked, mut said, mut status) = (None::<Instant>, None::<Instant>, None::<StatusResponseV1>);
     while !stop.requested() {
         match &decision {
@@ -246,44 +256,39 @@ pub fn run(
             && topic.take(&mut log, |decision| {
                 let (is_own, is_here) = (decision.robot == robot, !decision.has(decision_flags::ELSEWHERE));
                 if is_here {
-                    strangers.hear(is_own, clock::monotonic_ns());
+                    others.hear(is_own, clock::monotonic_ns());
                 }
                 is_own && is_here
             })?
         {
             let name = (topic.message.epoch, topic.message.sequence, topic.message.decided_ns);
-            mouth.tell(topic, name, told::decision);
+            outlet.tell(topic, name, told::decision);
         }
-        if strangers.are_alone(clock::monotonic_ns()) {
-            tracing::warn!(
-                robot = config.robot.name,
-                "a planner decides for a robot of another name, and none for this one: give both one name (robot.name, planner.robot)"
-            );
-        }
+        others.warn(&config.robot.name);
         if scores.take(&mut log, |_| true)? {
             published_ns = Some(scores.message.published_ns);
             if tell.scores {
                 let name = (scores.message.epoch, scores.message.sequence, scores.message.computed_ns);
-                mouth.tell(&mut scores, name, told::scores);
+                outlet.tell(&mut scores, name, told::scores);
             }
         }
         if let Some(topic) = &mut forecast
             && topic.take(&mut log, |_| true)?
         {
             let name = (topic.message.epoch, topic.message.sequence, topic.message.computed_ns);
-            mouth.tell(topic, name, told::forecast);
+            outlet.tell(topic, name, told::forecast);
         }
         if let Some(topic) = &mut persons
             && topic.take(&mut log, |_| true)?
         {
             let name = (topic.message.epoch, topic.message.sequence, topic.message.computed_ns);
-            mouth.tell(topic, name, told::persons);
+            outlet.tell(topic, name, told::persons);
         }
-        mouth.look();
-        mouth.repeat(&mut scores);
-        forecast.iter_mut().for_each(|topic| mouth.repeat(topic));
-        persons.iter_mut().for_each(|topic| mouth.repeat(topic));
-        decision.iter_mut().for_each(|topic| mouth.repeat(topic));
+        outlet.look();
+        outlet.repeat(&mut scores);
+        forecast.iter_mut().for_each(|topic| outlet.repeat(topic));
+        persons.iter_mut().for_each(|topic| outlet.repeat(topic));
+        decision.iter_mut().for_each(|topic| outlet.repeat(topic));
         let silence_ns = published_ns.map(|published_ns| clock::monotonic_ns().saturating_sub(published_ns));
         let lives = silence_ns.is_some_and(|silence_ns| silence_ns <= SILENCE_NS);
         if lives && asked.is_none_or(|asked| asked.elapsed() >= ASK_AGAIN) {
@@ -292,7 +297,7 @@ pub fn run(
         }
         if said.is_none_or(|said| said.elapsed() >= STATUS) {
             said = Some(Instant::now());
-            mouth.say(&keys.told("status"), told::status(&config.robot.name, silence_ns, status.as_ref()));
+            outlet.say(&keys.told("status"), told::status(&config.robot.name, silence_ns, status.as_ref()));
             alive();
         }
     }
@@ -320,11 +325,11 @@ mod tests {
     #[test]
     fn a_planner_that_decides_for_another_robot_alone_is_told_of_once() {
         let told = |heard: &[(bool, u64)]| {
-            let mut strangers = Strangers::default();
+            let mut others = OtherPlanners::default();
             let said = (0..1000).filter(|second| {
                 let now = heard.iter().filter(|(_, at)| at == second);
-                now.for_each(|(is_own, _)| strangers.hear(*is_own, second * S));
-                strangers.are_alone(second * S)
+                now.for_each(|(is_own, _)| others.hear(*is_own, second * S));
+                others.are_alone(second * S)
             });
             said.collect::<Vec<u64>>()
         };

@@ -52,16 +52,16 @@ pub struct Heard {
 
 /// The end of the queue for subscribers.
 #[derive(Clone)]
-pub struct Ear(SyncSender<Heard>);
+pub struct Inlet(SyncSender<Heard>);
 
 /// Both ends of the queue.
 #[must_use]
-pub fn ear() -> (Ear, Receiver<Heard>) {
+pub fn inlet() -> (Inlet, Receiver<Heard>) {
     let (to, heard) = sync_channel(WAITING_MAX);
-    (Ear(to), heard)
+    (Inlet(to), heard)
 }
 
-impl Ear {
+impl Inlet {
     /// Queues a message of `roomcast/SITE/ROBOT/told/TOPIC`.
     pub fn take(&self, sample: &Sample) {
         let parts: Vec<&str> = sample.key_expr().as_str().split('/').collect();
@@ -78,8 +78,8 @@ impl Ear {
     /// Queries earlier messages. A failure means that the session ends; the next session is asked again.
     fn ask(&self, session: &Session, site: &str) {
         for topic in TOPICS {
-            let ear = self.clone();
-            let earlier = move |reply: Reply| reply.into_result().into_iter().for_each(|sample| ear.take(&sample));
+            let inlet = self.clone();
+            let earlier = move |reply: Reply| reply.into_result().into_iter().for_each(|sample| inlet.take(&sample));
             let _asked = session.get(Keys::new(site, "*").told(topic)).callback(earlier).wait();
         }
     }
@@ -269,7 +269,7 @@ fn message(heard: &Heard, robot: u64, decision: &Decision, age_ns: u64) -> Resul
     Ok(message)
 }
 
-/// Runs until asked to stop. `ear` is the other end of `heard`, for queried messages.
+/// Runs until asked to stop. `inlet` is the other end of `heard`, for queried messages.
 ///
 /// # Errors
 ///
@@ -278,7 +278,7 @@ pub fn run(
     config: &Config,
     domain: &Domain,
     link: Option<&Link>,
-    (ear, heard): (&Ear, &Receiver<Heard>),
+    (inlet, heard): (&Inlet, &Receiver<Heard>),
     stop: &Stop,
 ) -> Result<(), IpcError> {
     let node = domain.open("roomcast-zenoh-peers")?;
@@ -294,7 +294,7 @@ pub fn run(
             && let Some((_, session)) = link.session()
         {
             connections = link.connections();
-            ear.ask(&session, &config.site.name);
+            inlet.ask(&session, &config.site.name);
         }
         // Own decisions are read first: a message over the router was decided earlier.
         while let Some((checked, sender)) = here.receive_from(&mut own)? {
@@ -389,17 +389,17 @@ mod tests {
         let domain = Domain::new(folder.path().join("d"), &format!("peers-{}", std::process::id())).unwrap();
         let mut config = Config::default();
         "robot-1".clone_into(&mut config.robot.name);
-        let (ear, heard_here) = ear();
+        let (inlet, heard_here) = inlet();
         let stop = Stop::default();
         let now_ns = clock::monotonic_ns();
         for (robot, room) in
             [("robot-2", "kitchen"), ("robot-3", "bathroom"), ("robot-4", "hall"), ("robot-5", "study")]
         {
-            ear.0.send(heard(robot, "decision", told(1, room), now_ns)).unwrap();
+            inlet.0.send(heard(robot, "decision", told(1, room), now_ns)).unwrap();
         }
         std::thread::scope(|scope| {
-            let (ear, config, domain, stop) = (&ear, &config, &domain, &stop);
-            scope.spawn(move || run(config, domain, None, (ear, &heard_here), stop).unwrap());
+            let (inlet, config, domain, stop) = (&inlet, &config, &domain, &stop);
+            scope.spawn(move || run(config, domain, None, (inlet, &heard_here), stop).unwrap());
             let _ends = stop.at_end();
             let node = domain.open("planner").unwrap();
             // This robot's planner is in this domain.
@@ -425,7 +425,7 @@ mod tests {
                             clock: 1,
                             started_ns: 0,
                         });
-                        ear.0.send(heard(robot, "status", status, clock::monotonic_ns())).unwrap();
+                        inlet.0.send(heard(robot, "status", status, clock::monotonic_ns())).unwrap();
                     }
                     (rooms.len() >= 3).then_some(())
                 });

@@ -95,22 +95,22 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
     config.check_robot()?;
     let domain = config.domain()?;
     let last = Last::new();
-    let (ear, heard) = inward::ear();
+    let (inlet, heard) = inward::inlet();
     let (asking, asked) = sync_channel(ask::WAITING_MAX);
     let (wanting, wanted) = understood::queue();
     // A hub's number is its place in the list; ROS 2 comes behind the hubs.
-    let ros2_ear = config.ros2.narration.then(|| (config.narrator.len(), ear.clone()));
-    let (peer_ear, peers_heard) = peers::ear();
+    let ros2_inlet = config.ros2.narration.then(|| (config.narrator.len(), inlet.clone()));
+    let (peer_inlet, peers_heard) = peers::inlet();
     let site = !config.router.connect.is_empty();
     let second = Second { found: Arc::default(), stop: stop.clone() };
-    let declare = || declare(config, &last, ear, asking, peer_ear.clone(), second.clone());
+    let declare = || declare(config, &last, inlet, asking, peer_inlet.clone(), second.clone());
     let link = site.then(|| Link::start(&config.router, declare())).transpose()?;
     let ros2 = match config.ros2.router() {
         Some(router) => Some((Places::load(&config.ros2)?, Link::start(&router, Box::new(|_| Ok(Vec::new())))?)),
         None => None,
     };
     let (link, ros2, stopper, last_told) = (link.as_ref(), ros2.as_ref(), stop, &last);
-    let peer_ear = &peer_ear;
+    let peer_inlet = &peer_inlet;
     let ended = thread::scope(|scope| {
         let domain = &domain;
         let inward =
@@ -120,7 +120,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
             threads.push(start(scope, stopper, "ask", move || ask::run(config, domain, &asked, stopper))?);
         }
         if config.peers.hear {
-            let listen = move || peers::run(config, domain, link, (peer_ear, &peers_heard), stopper);
+            let listen = move || peers::run(config, domain, link, (peer_inlet, &peers_heard), stopper);
             threads.push(start(scope, stopper, "peers", listen)?);
         }
         if let Some(link) = link.filter(|_| config.habits.share) {
@@ -135,7 +135,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
             })?);
         }
         if let Some((places, link)) = ros2 {
-            let speak = move || ros2::run::run(&config.ros2, places, domain, link, ros2_ear, stopper);
+            let speak = move || ros2::run::run(&config.ros2, places, domain, link, ros2_inlet, stopper);
             threads.push(start(scope, stopper, "ros2", speak)?);
         }
         notify(&[NotifyState::Ready]);
@@ -188,9 +188,9 @@ pub(crate) fn notify(state: &[NotifyState<'_>]) {
 fn declare(
     config: &Config,
     last: &Arc<Last>,
-    ear: inward::Ear,
+    inlet: inward::Inlet,
     asking: SyncSender<ask::Asked>,
-    peer_ear: peers::Ear,
+    peer_inlet: peers::Inlet,
     second: Second,
 ) -> Declare {
     let (config, last) = (config.clone(), Arc::clone(last));
@@ -212,8 +212,8 @@ fn declare(
             return Ok(declared);
         }
         for (number, narrator) in config.narrator.iter().enumerate() {
-            let ear = ear.clone();
-            let take = move |sample: Sample| ear.take(number, sample.payload());
+            let inlet = inlet.clone();
+            let take = move |sample: Sample| inlet.take(number, sample.payload());
             declared.push(Box::new(session.declare_subscriber(keys.narration(&narrator.name)).callback(take).wait()?));
         }
         let own = Arc::clone(&last);
@@ -237,8 +237,8 @@ fn declare(
         }
         if config.peers.hear {
             for topic in peers::TOPICS {
-                let (key, ear) = (Keys::new(&config.site.name, "*").told(topic), peer_ear.clone());
-                let take = move |sample: Sample| ear.take(&sample);
+                let (key, inlet) = (Keys::new(&config.site.name, "*").told(topic), peer_inlet.clone());
+                let take = move |sample: Sample| inlet.take(&sample);
                 declared.push(Box::new(session.declare_subscriber(&key).callback(take).wait()?));
             }
         }

@@ -62,12 +62,12 @@ impl Heard {
 
 /// The end of the queue for subscribers.
 #[derive(Clone)]
-struct Ear {
+struct Inlet {
     to: SyncSender<Heard>,
     waiting: Arc<AtomicUsize>,
 }
 
-impl Ear {
+impl Inlet {
     /// Queues a message of `size` bytes if there is room. Otherwise `heard` is not called, so no bytes are copied.
     fn take(&self, size: usize, heard: impl FnOnce() -> Heard) {
         let before = self.waiting.fetch_add(size, Ordering::Relaxed);
@@ -86,8 +86,8 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), WatchError> {
     config.check_watch()?;
     let (to, heard) = sync_channel(WAITING_MAX);
     let waiting = Arc::<AtomicUsize>::default();
-    let ear = Ear { to, waiting: Arc::clone(&waiting) };
-    let _link = Link::start(&config.router, declare(config.site.name.clone(), ear))?;
+    let inlet = Inlet { to, waiting: Arc::clone(&waiting) };
+    let _link = Link::start(&config.router, declare(config.site.name.clone(), inlet))?;
     end_where_nobody_reads(stop.clone());
     let mut delays = BTreeMap::<String, Delay>::new();
     let mut out = io::stdout().lock();
@@ -184,16 +184,16 @@ fn aged(key: &str, message: &mut Map<String, Value>, delays: &mut BTreeMap<Strin
     message.insert("held_up_ns".to_owned(), excess_ns.into());
 }
 
-fn declare(site: String, ear: Ear) -> Declare {
+fn declare(site: String, inlet: Inlet) -> Declare {
     Box::new(move |session: &Session| {
         let said = {
-            let ear = ear.clone();
+            let inlet = inlet.clone();
             move |sample: Sample| {
                 let (key, payload) = (sample.key_expr().as_str(), sample.payload());
                 if payload.len() > BYTES_MAX {
                     return;
                 }
-                ear.take(key.len() + payload.len(), || {
+                inlet.take(key.len() + payload.len(), || {
                     let bytes = payload.to_bytes().into_owned();
                     Heard::Said { key: key.to_owned(), bytes, now_ns: clock::monotonic_ns() }
                 });
@@ -201,7 +201,7 @@ fn declare(site: String, ear: Ear) -> Declare {
         };
         let told = format!("roomcast/{site}/*/told/**");
         let subscriber = session.declare_subscriber(&told).callback(said.clone()).wait()?;
-        let of_before = ear.clone();
+        let of_before = inlet.clone();
         // Earlier messages are queried, since only their senders keep them.
         let earlier = move |reply: zenoh::query::Reply| {
             if let Ok(sample) = reply.into_result() {
@@ -227,18 +227,18 @@ mod tests {
     #[test]
     fn what_waits_is_bounded_with_its_keys() {
         let (to, heard) = sync_channel(WAITING_MAX);
-        let ear = Ear { to, waiting: Arc::default() };
+        let inlet = Inlet { to, waiting: Arc::default() };
         let take = |size: usize| {
-            ear.take(size, || Heard::Said { key: "k".repeat(size / 2), bytes: vec![0; size - size / 2], now_ns: 0 });
+            inlet.take(size, || Heard::Said { key: "k".repeat(size / 2), bytes: vec![0; size - size / 2], now_ns: 0 });
         };
         (0..40).for_each(|_| take(1 << 20));
-        assert_eq!(ear.waiting.load(Ordering::Relaxed), WAITING_BYTES_MAX);
+        assert_eq!(inlet.waiting.load(Ordering::Relaxed), WAITING_BYTES_MAX);
         let waits: Vec<usize> = heard.try_iter().map(|heard| heard.size()).collect();
         assert_eq!(waits, [1 << 20; WAITING_BYTES_MAX >> 20]);
         // Their number is limited too.
-        ear.waiting.store(0, Ordering::Relaxed);
+        inlet.waiting.store(0, Ordering::Relaxed);
         (0..2 * WAITING_MAX).for_each(|_| take(2));
-        assert_eq!((heard.try_iter().count(), ear.waiting.load(Ordering::Relaxed)), (WAITING_MAX, 2 * WAITING_MAX));
+        assert_eq!((heard.try_iter().count(), inlet.waiting.load(Ordering::Relaxed)), (WAITING_MAX, 2 * WAITING_MAX));
     }
 
     /// Robots may share a clock, and can learn each other's clock ids. Regression: one robot's false times made the others look old.

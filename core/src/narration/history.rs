@@ -445,7 +445,7 @@ mod tests {
         /// However the others flood, and with however long sentences, a quota keeps its newest observations up to its share of the places, less
         /// one for the rounding, and of the tokens that a cut leaves.
         #[test]
-        fn a_voice_keeps_its_share(
+        fn a_narrator_keeps_its_share(
             observations in 1usize..20, slack in 0usize..6, tokens in 1usize..300, quotas in 2u64..5,
             said_by in prop::collection::vec((0u64..5, 1usize..400), 1..200),
         ) {

@@ -1,3 +1,5 @@
+//! The default policy: it weighs seconds near people against rooms left undone.
+
 use rand::Rng;
 
 use super::{Choice, Policy, PolicyError, PolicyName, RobotState, UncoveredFirst, check, partition_id};

@@ -1,3 +1,5 @@
+//! The paper's greedy avoidance.
+
 use rand::Rng;
 
 use super::{Choice, Policy, PolicyError, PolicyName, RobotState, check, least, partition_id, uniform};

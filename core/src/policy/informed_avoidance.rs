@@ -1,3 +1,5 @@
+//! The paper's informed avoidance.
+
 use rand::Rng;
 
 use super::{Choice, Policy, PolicyError, PolicyName, RobotState, check, partition_id, uniform};

@@ -1,3 +1,5 @@
+//! The paper's naive baseline.
+
 use rand::Rng;
 
 use super::{Choice, Policy, PolicyError, PolicyName, RobotState, check, partition_id, uniform};

@@ -1,3 +1,5 @@
+//! The least score among the rooms still to do.
+
 use rand::Rng;
 
 use super::{Choice, Policy, PolicyError, PolicyName, RobotState, check, least, partition_id, uniform};

@@ -1,4 +1,4 @@
-//! Sensors as two-state Markov chains that the occupancy of their room drives.
+//! Sensors as two-state Markov chains that the occupancy of their room drives: default rates per kind, false alarms among them, and how they are learned.
 //!
 //! A sensor is off or on. It flips at a rate that depends on its room's class: empty, or the most visible person is still, settled, or walks.
 //! This gives both kinds of evidence (Nodelman's continuous-time Bayesian networks):

@@ -72,12 +72,12 @@ impl Drop for Only {
 /// without end: when it opens a service, cleans up after the dead, or sends. So a thread of every participant removes these files when they
 /// are [`MADE_WITHIN`] old, and the waiting call goes on with a temporary error.
 #[derive(Debug)]
-pub(super) struct Guardian {
+pub(super) struct Watch {
     stop: Option<mpsc::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Guardian {
+impl Watch {
     pub(super) fn start(domain: &Domain) -> io::Result<Self> {
         let domain = domain.clone();
         let (stop, stopped) = mpsc::channel();
@@ -86,12 +86,12 @@ impl Guardian {
                 domain.remove_unmade_memory();
             }
         };
-        let thread = std::thread::Builder::new().name("guardian".to_owned()).spawn(watch)?;
+        let thread = std::thread::Builder::new().name("watch".to_owned()).spawn(watch)?;
         Ok(Self { stop: Some(stop), thread: Some(thread) })
     }
 }
 
-impl Drop for Guardian {
+impl Drop for Watch {
     fn drop(&mut self) {
         drop(self.stop.take());
         if let Some(thread) = self.thread.take() {

@@ -15,8 +15,8 @@ use rustix::io::Errno;
 use rustix::process::{Resource, getrlimit};
 
 use super::{
-    Domain, FOLDERS, FREE_BYTES, Flavour, Guardian, JOINED_WITHIN, LIKELY_WITHIN, LastOut, MADE_WITHIN, ONLY_FILE,
-    OPEN_BY_A_PORT_MAX, OPEN_FOR, Only, OpenFailure, Place, SHARED_MEMORY, age,
+    Domain, FOLDERS, FREE_BYTES, Flavour, JOINED_WITHIN, LIKELY_WITHIN, LastOut, MADE_WITHIN, ONLY_FILE,
+    OPEN_BY_A_PORT_MAX, OPEN_FOR, Only, OpenFailure, Place, SHARED_MEMORY, Watch, age,
 };
 use crate::unused::Unused;
 use crate::{IpcError, limits, sequence};
@@ -33,7 +33,7 @@ pub struct Node {
     pub(super) _last: LastOut,
     pub(super) _only: Option<Only>,
     /// Dropped last, since leaving may also wait for memory.
-    pub(super) _guardian: Guardian,
+    pub(super) _watch: Watch,
 }
 
 impl Node {

@@ -1,8 +1,6 @@
 //! `roomcast-lab table1 | table2 | ablation | pareto | horizon`: a robot among people, many times over.
 
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 
 use serde_json::json;
 
@@ -24,14 +22,16 @@ use roomcast_lab::experiment::report::{Report, Table};
 use roomcast_lab::experiment::setups::{self, SetupRow};
 use roomcast_lab::experiment::tables::{self, DIFFERENCES, PAPER_TABLE1, PAPER_TABLE2, PaperRow};
 use roomcast_llama::LlamaModel;
-use roomcast_services::setup;
 use roomcast_simulation::binding::ItemChoice;
 use roomcast_simulation::drawing;
-use roomcast_simulation::homer::Day;
 use roomcast_simulation::study::{self, Activity, Decider, Figures, Home, Options};
 use roomcast_simulation::timeline::{PersonOptions, TimelineError};
 use roomcast_simulation::world::Disturbance;
 use roomcast_simulation::{ScoreSource, StudyError};
+
+mod activities;
+
+use activities::{Named, tell_apart};
 
 const PACE_S: f64 = 24.0;
 
@@ -98,26 +98,19 @@ struct RobotArgs {
     #[arg(long, value_name = "N", default_value_t = Options::default().restarts, value_parser = ranges::some())]
     restarts: u64,
     /// When the robot disturbs: same-room, in-sight, or near:METRES.
-    #[arg(long, value_name = "KIND", default_value = "same-room")]
-    disturbance: DisturbanceArg,
+    #[arg(long, value_name = "KIND", default_value = "same-room", value_parser = disturbance)]
+    disturbance: Disturbance,
 }
 
-#[derive(Debug, Clone, Copy)]
-struct DisturbanceArg(Disturbance);
-
-impl FromStr for DisturbanceArg {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let near = |metres: &str| metres.parse().ok().filter(|m: &f64| m.is_finite() && *m > 0.0);
-        match text {
-            "same-room" => Ok(Self(Disturbance::SameRoom)),
-            "in-sight" => Ok(Self(Disturbance::InSight)),
-            _ => match text.strip_prefix("near:").and_then(near) {
-                Some(metres) => Ok(Self(Disturbance::Near(metres))),
-                None => Err(format!("`{text}` is none of same-room, in-sight, near:METRES")),
-            },
-        }
+fn disturbance(text: &str) -> Result<Disturbance, String> {
+    let near = |metres: &str| metres.parse().ok().filter(|m: &f64| m.is_finite() && *m > 0.0);
+    match text {
+        "same-room" => Ok(Disturbance::SameRoom),
+        "in-sight" => Ok(Disturbance::InSight),
+        _ => match text.strip_prefix("near:").and_then(near) {
+            Some(metres) => Ok(Disturbance::Near(metres)),
+            None => Err(format!("`{text}` is none of same-room, in-sight, near:METRES")),
+        },
     }
 }
 
@@ -182,39 +175,6 @@ pub(super) struct ParetoArgs {
 type Scene = (SemanticMap, Grounding);
 type Pictures = Vec<(String, String)>;
 
-struct Named {
-    /// The file; for a shipped program its name.
-    path: PathBuf,
-    /// The name in results. Names are unique, since results of one name would be merged.
-    name: String,
-    /// The seed of its draws. It does not depend on the folder, so that files can be moved.
-    drawn_by: String,
-    activity: Activity,
-}
-
-fn last_parts(path: &Path, count: usize) -> String {
-    let parts: Vec<_> = path.components().collect();
-    parts[parts.len().saturating_sub(count)..].iter().collect::<PathBuf>().display().to_string()
-}
-
-/// Extends equal names by as much of the paths as makes them different.
-fn tell_apart(activities: &mut [Named]) -> CommandResult {
-    for parts in 2.. {
-        let mut called = HashMap::<&str, usize>::new();
-        activities.iter().for_each(|own| *called.entry(&own.name).or_default() += 1);
-        let alike: Vec<usize> = (0..activities.len()).filter(|own| called[&*activities[*own].name] > 1).collect();
-        let Some(first) = alike.first() else { break };
-        if alike.iter().all(|own| activities[*own].path.components().count() < parts) && parts > 2 {
-            let text = format!("--program has {} twice: give it once", activities[*first].path.display());
-            return Err(Failure::new(exit_code::USAGE, text));
-        }
-        for own in alike {
-            activities[own].name = last_parts(&activities[own].path, parts);
-        }
-    }
-    Ok(())
-}
-
 struct Setup<'a> {
     args: &'a StudyArgs,
     scenes: Vec<Scene>,
@@ -228,40 +188,6 @@ struct Setup<'a> {
 }
 
 impl StudyArgs {
-    fn load(&self, path: &Path) -> Result<Vec<Named>, Failure> {
-        let input = |error: roomcast_core::narration::TextError| Failure::new(exit_code::INPUT, error);
-        if let Some(shipped) = setup::shipped_program(path) {
-            let name = path.display().to_string();
-            let activity = Activity::Program(shipped.map_err(input)?);
-            return Ok(vec![Named { path: path.to_owned(), name: name.clone(), drawn_by: name, activity }]);
-        }
-        let (mut files, faults) = super::prediction::load_programs(path)?;
-        report_faults(&faults);
-        if let Some(manifest) = self.manifest.as_ref().filter(|_| path.is_dir()) {
-            files = super::Manifest::read(manifest)?.split(files, &self.split)?;
-        }
-        let mut activities = Vec::with_capacity(files.len());
-        let stem = |file: &Path| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let mut names = HashMap::<String, usize>::new();
-        files.iter().for_each(|file| *names.entry(stem(&file.path)).or_default() += 1);
-        for file in files {
-            let mut name = stem(&file.path);
-            // The folders distinguish files of the same name.
-            if names[&name] > 1 {
-                let below = file.path.strip_prefix(path).unwrap_or(&file.path);
-                name = below.with_extension("").display().to_string();
-            }
-            // Programs were read already; days are read again with their times.
-            let day = std::fs::read_to_string(&file.path).ok().filter(|text| Day::recognise(text));
-            let activity = match day {
-                Some(text) => Activity::Day(Day::parse(&text).map_err(input)?),
-                None => Activity::Program(file.program),
-            };
-            activities.push(Named { path: file.path, name: name.clone(), drawn_by: name, activity });
-        }
-        Ok(activities)
-    }
-
     /// Loads the given T_r, scenes and programs, or by default the paper's.
     fn setup(
         &self,
@@ -290,7 +216,7 @@ impl StudyArgs {
             history: self.model.limits(),
             items: self.items,
             person: PersonOptions { mean_action_s, action_s_max: self.longest_act, ..PersonOptions::default() },
-            disturbance: robot.map_or(default.disturbance, |robot| robot.disturbance.0),
+            disturbance: robot.map_or(default.disturbance, |robot| robot.disturbance),
             forecast: ForecastOptions {
                 object_s: self.object_time,
                 stay_s: self.stay_time,

@@ -246,7 +246,7 @@ impl<M: LanguageModel> Cycle<M> {
 
     /// The engine, without the loop.
     #[must_use]
-    pub fn into_board(self) -> Engine<M> {
+    pub fn into_engine(self) -> Engine<M> {
         self.engine
     }
 

@@ -1,4 +1,4 @@
-//! From a message to an event: the checks, and the counters. Pure: time is a parameter.
+//! From a message to an event: rate limits, duplicates, forged names, and the counters. Pure: time is a parameter.
 //!
 //! A narrator's start (source and epoch) belongs to the port that first uses it. From any other port its messages are forged. If the configuration
 //! calls the narrator relayed, another port may continue the start once the first port is closed, as after a restart of a bridge. A relayed narrator
@@ -17,7 +17,7 @@ use roomcast_ipc::sequence::{Arrival, Follower, source_of_name};
 use roomcast_ipc::{MessageError, Sender};
 
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
-use roomcast_core::narration::{Observation, Quota, check_name};
+use roomcast_core::narration::{Event, Observation, Quota, check_name};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_core::scorer::TokenCounter;
 
@@ -37,7 +37,7 @@ pub const FORMER_SOURCES_MAX: usize = 4096;
 pub const HELD_S: u64 = 30;
 /// The number of the common quota of all unknown narrators, if the configuration names any narrator.
 pub(super) const OTHERS: u64 = 1;
-const FIRST_VOICE: u64 = 2;
+const FIRST_QUOTA: u64 = 2;
 
 /// The outcome of a message.
 #[derive(Debug, Clone, PartialEq)]
@@ -199,7 +199,7 @@ impl Intake {
     /// An intake without events.
     #[must_use]
     pub fn new(limits: IntakeLimits) -> Self {
-        Self { limits, quotas: FIRST_VOICE, ..Self::default() }
+        Self { limits, quotas: FIRST_QUOTA, ..Self::default() }
     }
 
     /// The narrators of the configuration. All others then share one quota.
@@ -358,39 +358,21 @@ impl Intake {
             let first = !std::mem::replace(&mut source.costly, true);
             return Taken::Costly { tokens, most, first };
         }
-        let port_voice = port.quota;
-        let quota = match self.narrators.get(&message.source).map(|known| known.share) {
-            Some(share) if self.holds(message.source, sender) => {
-                Quota { number: message.source.max(FIRST_VOICE), share }
-            }
-            None if self.narrators.is_empty() => Quota { number: port_voice, share: 1 },
-            _ => Quota { number: OTHERS, share: 1 },
-        };
+        let port_quota = port.quota;
+        let quota = self.quota_of(message.source, sender, port_quota);
         let ahead_ns = BootNs(message.observed_ns).since(now_ns);
-        let observation = Observation {
-            person: PersonId(message.person),
-            name: name.map(Into::into),
-            by_fit: false,
-            source: message.source,
-            epoch: message.epoch,
-            sequence: message.sequence,
-            // An event cannot lie in the future, whatever the narrator's clock says. An event without a time is from now.
-            observed_ns: match (message.observed_ns, message.observed_unix_ns) {
-                (0, 0) => now_ns,
-                (observed_ns, _) => BootNs(observed_ns.min(now_ns.0)),
-            },
-            // With a larger lead, the two times are from different clocks.
-            observed_unix_ns: UnixNs(message.observed_unix_ns.saturating_sub(if ahead_ns > AHEAD_NS {
-                0
-            } else {
-                ahead_ns
-            })),
-            count: message.counted(),
-            may_be_form: ![narration_kind::ACTION, narration_kind::DEVICE].contains(&message.kind),
-            event,
-        };
+        let observation = observation_of(message, event, name, now_ns);
         let ahead_ns = Some(ahead_ns).filter(|ahead_ns| *ahead_ns > FAST_NS);
         Taken::Accepted { observation, missed, quota, leaves, binds, ahead_ns }
+    }
+
+    /// The quota for sentences of a source: its own, if the configuration names the narrator.
+    fn quota_of(&mut self, source: u64, sender: Sender, of_port: u64) -> Quota {
+        match self.narrators.get(&source).map(|known| known.share) {
+            Some(share) if self.holds(source, sender) => Quota { number: source.max(FIRST_QUOTA), share },
+            None if self.narrators.is_empty() => Quota { number: of_port, share: 1 },
+            _ => Quota { number: OTHERS, share: 1 },
+        }
     }
 
     /// The counters.
@@ -458,7 +440,7 @@ impl Intake {
                 self.ports.remove(&silent);
             }
         }
-        let inherited = if self.ports.contains_key(&sender) { None } else { self.voice_left_by(source) };
+        let inherited = if self.ports.contains_key(&sender) { None } else { self.quota_left_by(source) };
         let (limits, narrators, quotas) = (self.limits, &self.narrators, &mut self.quotas);
         self.ports.entry(sender).or_insert_with(|| {
             let known = narrators.get(&source);
@@ -474,7 +456,7 @@ impl Intake {
 
     /// The quota of the closed port that last spoke for this source. A restarted narrator continues with it, because it must not share the window
     /// with its own past. The quota of an open port stays with that port.
-    fn voice_left_by(&self, source: u64) -> Option<u64> {
+    fn quota_left_by(&self, source: u64) -> Option<u64> {
         let starts = self.sources.range((source, 0)..=(source, u64::MAX));
         let last = starts.filter(|(_, known)| known.port.is_some()).max_by_key(|(_, known)| known.turn);
         let port = last.and_then(|(_, known)| known.port).filter(|port| !self.alive.contains(port))?;
@@ -512,6 +494,33 @@ impl Intake {
         let left = left.map(|(name, _)| *name)?;
         self.retire(left);
         Some(left)
+    }
+}
+
+/// The event with the daemon's times.
+fn observation_of(message: &NarrationV1, event: Event, name: Option<&str>, now_ns: BootNs) -> Observation {
+    let ahead_ns = BootNs(message.observed_ns).since(now_ns);
+    Observation {
+        person: PersonId(message.person),
+        name: name.map(Into::into),
+        by_fit: false,
+        source: message.source,
+        epoch: message.epoch,
+        sequence: message.sequence,
+        // An event cannot lie in the future, whatever the narrator's clock says. An event without a time is from now.
+        observed_ns: match (message.observed_ns, message.observed_unix_ns) {
+            (0, 0) => now_ns,
+            (observed_ns, _) => BootNs(observed_ns.min(now_ns.0)),
+        },
+        // With a larger lead, the two times are from different clocks.
+        observed_unix_ns: UnixNs(message.observed_unix_ns.saturating_sub(if ahead_ns > AHEAD_NS {
+            0
+        } else {
+            ahead_ns
+        })),
+        count: message.counted(),
+        may_be_form: ![narration_kind::ACTION, narration_kind::DEVICE].contains(&message.kind),
+        event,
     }
 }
 
@@ -795,7 +804,7 @@ mod tests {
 
     /// A port that uses the name of an open port gets none of its quota.
     #[test]
-    fn the_name_of_a_living_narrator_gives_nobody_its_voice() {
+    fn the_name_of_a_living_narrator_gives_nobody_its_quota() {
         let mut intake = Intake::new(IntakeLimits::default()).with_narrators(&[known(4, None, false)]);
         let hall = source_of_name("hall");
         let mut quota = |epoch, port, alive: &[Sender]| {
@@ -814,7 +823,7 @@ mod tests {
 
     /// A restarted narrator does not share the window with its own past. A port that uses the name of an open port gains nothing.
     #[test]
-    fn a_narrator_that_starts_again_keeps_its_voice() {
+    fn a_narrator_that_starts_again_keeps_its_quota() {
         let [third, fourth] = [3, 4].map(Sender::simulated);
         // Starts of one narrator, each on a port, with the open ports at that time.
         let quotas = |starts: &[(Sender, &[Sender])]| -> Vec<Quota> {
@@ -900,7 +909,7 @@ mod tests {
 
     /// Unknown narrators share one quota, so more processes get no more of a window.
     #[test]
-    fn narrators_that_are_named_have_voices_of_their_own() {
+    fn narrators_that_are_named_have_quotas_of_their_own() {
         let limits = IntakeLimits { rate_per_s: 1.0, burst: 2.0 };
         let mut intake = Intake::new(limits).with_narrators(&[known(4, Some(0.0), false)]);
         let hall = source_of_name("hall");

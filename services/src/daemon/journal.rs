@@ -4,7 +4,7 @@
 //! the same. Events from before a change of the map are not read with the new map: a belief keeps their result.
 //!
 //! A commit outlives the daemon at once; a power loss takes at most the last [`JournalOptions::sync_ms`]. The tables are in `journal/schema.sql`,
-//! and their changes in the files after it.
+//! and its migrations in the other `.sql` files, in the order of `SCHEMA` below.
 
 use std::fs;
 use std::io;

@@ -24,7 +24,7 @@ pub(super) const QUEUE: usize = 65_536;
 /// Most messages in one read of the port: a flood must not delay the scorer's steps.
 const AT_ONCE: usize = 2048;
 /// The standby thread returns the receiver at most this long after a step. An event in this time wakes both threads.
-const RELIEF: Duration = Duration::from_millis(5);
+const STANDBY_POLL: Duration = Duration::from_millis(5);
 
 const FAST_CLOCK: &str = "the clock of this narrator's input is fast: its events count as observed now, and older ones as newer than they \
     are; set the clock of the machine that dates them (NTP)";
@@ -286,9 +286,9 @@ impl Standby {
                 moved(clock::monotonic_ns().0);
                 if self.queue.len() < QUEUE {
                     // It fails only if the scoring thread has ended; the main thread also sees that.
-                    receiver.listen(RELIEF, &mut asleep, |heard| drop(self.queue.send(heard)));
+                    receiver.listen(STANDBY_POLL, &mut asleep, |heard| drop(self.queue.send(heard)));
                 } else {
-                    std::thread::sleep(RELIEF);
+                    std::thread::sleep(STANDBY_POLL);
                 }
                 own = if self.is_to_keep() { Some(receiver) } else { self.give_back(receiver) };
             }

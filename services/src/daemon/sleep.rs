@@ -28,6 +28,6 @@ pub(super) fn may_be_done_lying(text: &str) -> bool {
 }
 
 /// The actions in a text, in order: "lies down in bed" and "turns off the lamp".
-pub(super) fn deeds(text: &str) -> impl Iterator<Item = &str> {
-    text.split(" and ").flat_map(|part| part.split([',', ';'])).map(str::trim).filter(|deed| !deed.is_empty())
+pub(super) fn clauses(text: &str) -> impl Iterator<Item = &str> {
+    text.split(" and ").flat_map(|part| part.split([',', ';'])).map(str::trim).filter(|clause| !clause.is_empty())
 }

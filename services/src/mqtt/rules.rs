@@ -1,4 +1,4 @@
-//! Rules, and the lines that they make of messages.
+//! Which rules match a message, and the lines that they make of it. What one rule says is in `rule.rs`.
 
 use std::cell::{Cell, OnceCell};
 use std::collections::HashMap;

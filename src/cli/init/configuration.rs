@@ -1,3 +1,5 @@
+//! The configuration file that `roomcast init` writes.
+
 use std::fmt::Write as _;
 use std::path::Path;
 

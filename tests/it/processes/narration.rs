@@ -177,7 +177,7 @@ fn a_sentence_that_costs_more_than_the_window_harms_nobody() {
 
 /// The attack: another process sends an honest narrator's source and epoch with sequence 2^64 - 1.
 #[test]
-fn what_a_stranger_says_in_a_narrators_name_is_dropped_and_counted() {
+fn events_in_the_name_of_another_narrator_are_dropped_and_counted() {
     let mut world = World::new("forged");
     world.start_daemon();
     let (node, stranger) = (world.domain.open("honest").unwrap(), world.domain.open("stranger").unwrap());

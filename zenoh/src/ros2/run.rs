@@ -14,7 +14,7 @@ use roomcast_ros2::types::{CostmapFilterInfo, Header, Message, Text};
 use super::mask::{self, Grid, MapError, Mask, StoreyError};
 use super::node::{Kept, Node};
 use crate::config::Ros2;
-use crate::inward::Ear;
+use crate::inward::Inlet;
 use crate::limiter::Limiter;
 use crate::link::Link;
 use crate::stop::Stop;
@@ -70,15 +70,15 @@ impl Places {
 }
 
 /// The node of the present session, and a limit for its log.
-struct Voice<'a> {
+struct RosPublisher<'a> {
     config: &'a Ros2,
     link: &'a Link,
-    ear: Option<(usize, Ear)>,
+    inlet: Option<(usize, Inlet)>,
     node: Option<(u64, Node)>,
     log: Limiter,
 }
 
-impl Voice<'_> {
+impl RosPublisher<'_> {
     /// Makes a new node for every new session; returns whether it did.
     fn renew(&mut self) -> bool {
         let session = self.link.session();
@@ -89,9 +89,9 @@ impl Voice<'_> {
         self.node = None;
         let Some((number, session)) = session else { return false };
         let made = Node::new(session, self.config.domain, NAME).and_then(|mut node| {
-            if let Some((narrator, ear)) = self.ear.clone() {
+            if let Some((narrator, inlet)) = self.inlet.clone() {
                 let topic = format!("{}/narration", self.config.prefix);
-                node.hear::<Text>(&topic, move |sample| ear.take(narrator, sample.payload()))?;
+                node.hear::<Text>(&topic, move |sample| inlet.take(narrator, sample.payload()))?;
             }
             Ok(node)
         });
@@ -158,7 +158,7 @@ impl Voice<'_> {
     }
 }
 
-/// Publishes until asked to stop. `ear` takes narration, if ROS 2 may narrate.
+/// Publishes until asked to stop. `inlet` takes narration, if ROS 2 may narrate.
 ///
 /// # Errors
 ///
@@ -168,14 +168,14 @@ pub fn run(
     places: &Places,
     domain: &Domain,
     link: &Link,
-    ear: Option<(usize, Ear)>,
+    inlet: Option<(usize, Inlet)>,
     stop: &Stop,
 ) -> Result<(), IpcError> {
     let node = domain.open("roomcast-ros2")?;
     let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
     let persons: Subscriber<PersonForecastsV1> = node.subscriber()?;
     let forecasts: Subscriber<ForecastV1> = node.subscriber()?;
-    let mut voice = Voice { config, link, ear, node: None, log: Limiter::default() };
+    let mut publisher = RosPublisher { config, link, inlet, node: None, log: Limiter::default() };
     let mut rooms = None::<Box<RoomScoresV1>>;
     let mut forecast = None::<Box<ForecastV1>>;
     let mut said = None::<(u64, u64)>;
@@ -186,12 +186,12 @@ pub fn run(
     let (mut told, mut marked) = (None::<Instant>, None::<Instant>);
     while !stop.requested() {
         scores.wait(TICK)?;
-        if voice.renew() {
+        if publisher.renew() {
             // The last session's messages for late subscribers are gone.
             (said, of_persons, drawn, marked) = (None, None, None, None);
             if places.mask.is_some() {
-                let header = voice.header(0);
-                voice.say("keepout_info", Kept::Last, &filter(config, header));
+                let header = publisher.header(0);
+                publisher.say("keepout_info", Kept::Last, &filter(config, header));
             }
         }
         rooms = scores.newest()?.map(Box::new).or(rooms);
@@ -202,8 +202,12 @@ pub fn run(
         {
             said = Some((forecast.epoch, forecast.computed_ns));
             for ahead_s in &horizons_s {
-                let header = voice.header(now_ns.saturating_sub(forecast.computed_ns));
-                voice.say(&format!("rooms{}", horizon(*ahead_s)), Kept::Last, &of_rooms(forecast, *ahead_s, header));
+                let header = publisher.header(now_ns.saturating_sub(forecast.computed_ns));
+                publisher.say(
+                    &format!("rooms{}", horizon(*ahead_s)),
+                    Kept::Last,
+                    &of_rooms(forecast, *ahead_s, header),
+                );
             }
             values = likely(forecast, &places.rooms, config.horizon_s).map(mask::value).collect();
         }
@@ -211,7 +215,7 @@ pub fn run(
             && of_persons != Some((message.epoch, message.computed_ns))
         {
             of_persons = Some((message.epoch, message.computed_ns));
-            voice.tell_persons(&message, &horizons_s, now_ns);
+            publisher.tell_persons(&message, &horizons_s, now_ns);
         }
         if let Some(mask) = &places.mask
             && !values.is_empty()
@@ -220,20 +224,20 @@ pub fn run(
                 .is_none_or(|(before, at)| *before != values && at.elapsed().as_secs_f64() >= config.mask_s)
         {
             drawn = Some((values.clone(), Instant::now()));
-            let header = voice.header(0);
-            voice.say("keepout_mask", Kept::Last, &mask.draw(&values, header));
+            let header = publisher.header(0);
+            publisher.say("keepout_mask", Kept::Last, &mask.draw(&values, header));
         }
         if let Some(forecast) = &forecast
             && !places.rooms.is_empty()
             && marked.is_none_or(|marked| marked.elapsed() >= SECOND)
         {
             marked = Some(Instant::now());
-            voice.mark(places, forecast, now_ns);
+            publisher.mark(places, forecast, now_ns);
         }
         if told.is_none_or(|told| told.elapsed() >= SECOND) {
             told = Some(Instant::now());
-            let header = voice.header(0);
-            voice.say("/diagnostics", Kept::Not, &diagnostics(rooms.as_deref(), now_ns, header));
+            let header = publisher.header(0);
+            publisher.say("/diagnostics", Kept::Not, &diagnostics(rooms.as_deref(), now_ns, header));
         }
     }
     Ok(())

@@ -67,7 +67,7 @@ fn memory_kib(process: &Process) -> u64 {
 }
 
 #[test]
-fn a_stranger_without_rules_in_the_way_stops_nothing() {
+fn a_foreign_client_of_an_open_router_stops_nothing() {
     let Some(python) = python() else { return skipped(NO_ROUTER) };
     let folder = tempfile::tempdir().unwrap();
     let port = free_port();

@@ -12,7 +12,7 @@ use super::tracking::{Sensors, Tracking};
 use super::ways_out::ways_out;
 use super::{HomeHabits, seconds};
 use crate::daemon::persons::Persons;
-use crate::daemon::sleep::{deeds, is_bed, may_be_done_lying, sleeps};
+use crate::daemon::sleep::{clauses, is_bed, may_be_done_lying, sleeps};
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::Place as Whereabouts;
@@ -112,17 +112,17 @@ impl Belief {
                     }
                     home.turned(seen.person, seen.at_ns, turned_to(mention), own);
                     let Some(known) = attribution.persons.get_mut(seen.person) else { continue };
-                    for deed in deeds(text.as_str()) {
-                        let found = map.matcher.last(deed);
+                    for clause in clauses(text.as_str()) {
+                        let found = map.matcher.last(clause);
                         let row = |found: &Mention| grounding.weights().row(found.label);
                         let stays = |found: &Mention| {
                             let likeliest = (0..rooms).max_by(|a, b| near[*a].total_cmp(&near[*b]));
                             let is_here = likeliest.is_some_and(|room| row(found)[room] > SAME_ROOM);
-                            known.on_bed && is_here && may_be_done_lying(deed)
+                            known.on_bed && is_here && may_be_done_lying(clause)
                         };
                         let is_bed = |found: &Mention| is_bed(&grounding.scored_labels()[found.label].text);
                         let on_bed = found.map(|found| is_bed(&found) || stays(&found));
-                        known.on_bed = sleeps(deed).or(on_bed).unwrap_or(known.on_bed && may_be_done_lying(deed));
+                        known.on_bed = sleeps(clause).or(on_bed).unwrap_or(known.on_bed && may_be_done_lying(clause));
                         if let Some(found) = found.filter(is_bed) {
                             rooms = fill(&mut near, row(&found).iter().copied());
                         }

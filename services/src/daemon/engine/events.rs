@@ -1,4 +1,4 @@
-//! An event in the order of the flow: who caused it, the joint filter, and the part of each person.
+//! An event in the order of the flow: who caused it, the joint filter, and the posterior shares that choose the persons who take it.
 
 use super::super::journal::Move;
 use super::super::person_question::{By, UnderstoodLine};
@@ -40,12 +40,7 @@ impl<M: LanguageModel> Engine<M> {
         let is_read_alone = who == Who::Key && event == observation.event && !is_sensor;
         self.attribution.note_near_miss(&observation, &event);
         understood.event = event.clone();
-        understood.by = match who {
-            Who::Key => By::Key,
-            Who::Named(..) => By::Name,
-            Who::Unknown(_) => By::Fit,
-            Who::House => By::House,
-        };
+        understood.by = found_by(&who);
         let observed = observation.event.clone();
         let own = Observation { event, ..observation };
         let weighed = self.weigh(&own, &who, reporter, at_ns);
@@ -380,8 +375,8 @@ impl<M: LanguageModel> Engine<M> {
         }
         let did_ns = self.attribution.persons.get(observation.person).map_or(i64::MIN, |known| known.did_ns);
         let silent_s = seconds(noted_ns.saturating_sub(did_ns));
-        let voice = (quota, !reporter.is_unknown);
-        if let Some(dropped) = self.attribution.persons.note(&observation, voice, noted_ns) {
+        let quota = (quota, !reporter.is_unknown);
+        if let Some(dropped) = self.attribution.persons.note(&observation, quota, noted_ns) {
             self.drop_person(dropped);
         }
         self.scoring.rescore(observation.person);
@@ -422,5 +417,15 @@ impl<M: LanguageModel> Engine<M> {
             }
         }
         true
+    }
+}
+
+/// How the person of an event was found.
+fn found_by(who: &Who) -> By {
+    match who {
+        Who::Key => By::Key,
+        Who::Named(..) => By::Name,
+        Who::Unknown(_) => By::Fit,
+        Who::House => By::House,
     }
 }

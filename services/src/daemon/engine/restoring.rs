@@ -50,40 +50,7 @@ impl<M: LanguageModel> Engine<M> {
             if is_of_another_boot {
                 at_ns = Some(at_ns.unwrap_or(0).min(0));
             }
-            let quota = Quota::of_source(observation.source);
-            let is_unknown =
-                !self.attribution.named.is_empty() && !self.attribution.named.contains_key(&observation.source);
-            let reporter = self.attribution.reporter(observation.source, is_unknown);
-            self.scoring.pipeline.intake().include(&observation, quota);
-            let mut persons = Vec::new();
-            if let Some(moves) = moved.remove(&name) {
-                // A refused event has no moves.
-                if !moves.is_empty() {
-                    let robot = moves.iter().any(Move::is_of_a_robot);
-                    self.weigh_again(&observation, reporter, at_ns, robot);
-                }
-                for own in moves {
-                    let person = self.attribution.persons.file().current(own.person);
-                    let own = Move { person, ..own }.apply(&observation);
-                    if let Some(own) = self.retake(own, reporter, at_ns) {
-                        persons.push(own.person);
-                        self.enter_restored(quota, own);
-                    }
-                }
-            } else {
-                // A former run that was killed, or an older version, did not store the moves.
-                let enter = |engine: &mut Self, own: Observation| {
-                    persons.push(own.person);
-                    engine.enter_restored(quota, own);
-                };
-                let (is_read_alone, moves) = self.attribute(observation, Quota::EARLIER, reporter, at_ns, enter);
-                // The next start repeats these moves, also with other known persons. An attribution to one person is stored already.
-                if persons.is_empty() || !is_read_alone && moves.len() != 1 {
-                    self.records.note_moves(name, moves);
-                } else {
-                    self.records.drop_moves(moves);
-                }
-            }
+            let persons = self.repeat(observation, moved.remove(&name), at_ns);
             while let Some((_, person, expectation)) = expectations.next_if(|(after, ..)| *after <= index) {
                 let person = self.attribution.persons.file().current(*person);
                 // The attribution may be lost. The event may then be another person's, and this expectation is void.
@@ -98,6 +65,46 @@ impl<M: LanguageModel> Engine<M> {
         self.home.end_restore();
         self.scoring.pipeline.intake().forget_quotas();
         costly
+    }
+
+    /// Takes one event of a former run again, by the moves that were stored with it, if there are any. Returns its persons.
+    fn repeat(&mut self, observation: Observation, moved: Option<Vec<Move>>, at_ns: Option<i64>) -> Vec<PersonId> {
+        let quota = Quota::of_source(observation.source);
+        let is_unknown =
+            !self.attribution.named.is_empty() && !self.attribution.named.contains_key(&observation.source);
+        let reporter = self.attribution.reporter(observation.source, is_unknown);
+        self.scoring.pipeline.intake().include(&observation, quota);
+        let mut persons = Vec::new();
+        let Some(moves) = moved else {
+            // A former run that was killed, or an older version, did not store the moves.
+            let name = observation.id();
+            let enter = |engine: &mut Self, own: Observation| {
+                persons.push(own.person);
+                engine.enter_restored(quota, own);
+            };
+            let (is_read_alone, moves) = self.attribute(observation, Quota::EARLIER, reporter, at_ns, enter);
+            // The next start repeats these moves, also with other known persons. An attribution to one person is stored already.
+            if persons.is_empty() || !is_read_alone && moves.len() != 1 {
+                self.records.note_moves(name, moves);
+            } else {
+                self.records.drop_moves(moves);
+            }
+            return persons;
+        };
+        // A refused event has no moves.
+        if !moves.is_empty() {
+            let robot = moves.iter().any(Move::is_of_a_robot);
+            self.weigh_again(&observation, reporter, at_ns, robot);
+        }
+        for own in moves {
+            let person = self.attribution.persons.file().current(own.person);
+            let own = Move { person, ..own }.apply(&observation);
+            if let Some(own) = self.retake(own, reporter, at_ns) {
+                persons.push(own.person);
+                self.enter_restored(quota, own);
+            }
+        }
+        persons
     }
 
     fn restore_expectation(&mut self, person: PersonId, stored: &Expectation) {

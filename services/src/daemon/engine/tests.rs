@@ -48,7 +48,7 @@ proptest! {
     /// The bound on one unknown narrator: with a guard, its events change no score and no forecast of a guarded person, to the last bit. No room
     /// falls below the probability that these persons give it. Both also hold after a restart.
     #[test]
-    fn a_stranger_moves_nothing_of_a_guarded_person(
+    fn an_unknown_narrator_moves_nothing_of_a_guarded_person(
         said in prop::collection::vec((0..12_usize, 0..4_u32, 0..50_u64, any::<bool>(), 0..16_usize), 1..40),
     ) {
         const NAMED: u64 = 7;
@@ -257,7 +257,7 @@ impl LanguageModel for Failing {
     }
 }
 
-fn failing_board(failures: &Rc<Cell<u32>>) -> Engine<Failing> {
+fn failing_engine(failures: &Rc<Cell<u32>>) -> Engine<Failing> {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let model = Failing { table: TableModel::new(7), failures: Rc::clone(failures) };
     let pipeline = Pipeline::of(&map, model).unwrap();
@@ -267,7 +267,7 @@ fn failing_board(failures: &Rc<Cell<u32>>) -> Engine<Failing> {
 #[test]
 fn a_changed_map_is_published_with_its_first_scores() {
     let failures = Rc::<Cell<u32>>::default();
-    let mut engine = failing_board(&failures);
+    let mut engine = failing_engine(&failures);
     for (at_s, sentence) in DAY {
         engine.step([entry(PersonId(0), at_s * S, sentence)], BootNs(at_s * S), UnixNs(at_s * S)).unwrap();
     }
@@ -378,7 +378,7 @@ fn a_restart_remembers_where_everybody_is() {
 #[test]
 fn a_failed_step_loses_neither_gap_nor_latency() {
     let failures = Rc::<Cell<u32>>::default();
-    let mut engine = failing_board(&failures);
+    let mut engine = failing_engine(&failures);
     engine.step([], BootNs(S), UnixNs(S)).unwrap();
     failures.set(2);
     let lost = Entry { after_gap: true, ..entry(PersonId(0), 2 * S, "They grab the mug.") };
@@ -558,7 +558,7 @@ fn answers_of_who_did_nothing_are_not_prepared_again() {
 
 /// Invented persons take no place in the messages from a person of a named narrator.
 #[test]
-fn strangers_take_no_place_of_a_guarded_person() {
+fn unknown_narrators_take_no_place_of_a_guarded_person() {
     const NAMED: u64 = 7;
     let mut engine = engine().with_named([(NAMED, May::ALL)]);
     let told = Observation {
@@ -588,7 +588,7 @@ fn strangers_take_no_place_of_a_guarded_person() {
 #[test]
 fn a_room_that_is_added_makes_nobody_leave_theirs() {
     let failures = Rc::<Cell<u32>>::default();
-    let mut engine = failing_board(&failures);
+    let mut engine = failing_engine(&failures);
     engine.step([entry(PersonId(0), 10 * S, "They open the fridge.")], BootNs(10 * S), UnixNs(10 * S)).unwrap();
     let present = Observation {
         event: event_of(narration_kind::PRESENCE, "present in the living room").unwrap(),
@@ -604,7 +604,7 @@ fn a_room_that_is_added_makes_nobody_leave_theirs() {
     assert!(before > 0.8 && after > before - 0.02, "{before} {after}");
 }
 
-fn slow_board() -> Engine<TableModel> {
+fn slow_engine() -> Engine<TableModel> {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let pipeline = Pipeline::of(&map, TableModel::slow(7)).unwrap();
     Engine::new(pipeline, map, GroundingOptions::default(), 1).unwrap()
@@ -639,7 +639,7 @@ fn scores_that_miss_the_deadline_are_sent_again_as_old_and_behind() {
 #[test]
 fn a_step_scores_few_persons_and_claims_no_others() {
     const INVENTED: u64 = 40;
-    let mut cycle = crate::daemon::cycle::Cycle::new(slow_board(), 250_000_000);
+    let mut cycle = crate::daemon::cycle::Cycle::new(slow_engine(), 250_000_000);
     let heard = |source: u64, sequence: u64, person: PersonId| Observation {
         source,
         epoch: 1,
@@ -683,7 +683,7 @@ fn a_step_scores_few_persons_and_claims_no_others() {
     assert!(cycle.engine().is_scored() && !cycle.step_due(BootNs(20 * S)));
 
     // After a start, the person with the newest event is scored first.
-    let mut again = crate::daemon::cycle::Cycle::new(slow_board(), 250_000_000);
+    let mut again = crate::daemon::cycle::Cycle::new(slow_engine(), 250_000_000);
     let kept = recovered(flood.chain([heard(5, 1, PersonId(1))]));
     again.engine_mut().restore(kept, BootNs(20 * S), UnixNs(1_000_020 * S));
     let told = step(&mut again).unwrap();

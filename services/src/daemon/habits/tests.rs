@@ -746,7 +746,7 @@ fn whoever_is_not_learned_pushes_nobody_out() {
 }
 
 #[test]
-fn of_whom_only_strangers_tell_nothing_is_learned_where_narrators_are_named() {
+fn unknown_narrators_do_not_teach_habits_if_narrators_are_named() {
     let mut house = House::new(true);
     house.engine = house.engine.with_named([(7, crate::config::May::ALL)]);
     house.say(PersonId(3), 7 * H, "They sit on the sofa.");
