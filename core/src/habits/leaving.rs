@@ -1,8 +1,8 @@
 //! Forecasts a later place from the length and the destination of stays: a stay of some age in a place ends at the rate of exits over time spent. Each
-//! level has the next wider one as its prior: place and part of the day, then place, then the shipped stay. After a stay the person goes where earlier
-//! exits led, and a new stay begins there.
+//! level has the next wider one as its prior: place and part of the day, then place, then all rooms, then the shipped stay. After a stay the person goes
+//! where earlier exits led, and a new stay begins there.
 
-use super::context::Fact::{Here, Hours3, Spent};
+use super::context::Fact::{Here, Horizon, Hours3, Spent};
 use super::context::{CLASSES, Context, Level, NONE, class_s, level, time_class};
 use super::names::ELSEWHERE;
 use super::view::{View, normalise};
@@ -10,8 +10,9 @@ use super::view::{View, normalise};
 /// Symbols of the counts of stays.
 pub(crate) const EXITS: u16 = 0;
 pub(crate) const MINUTES: u16 = 1;
-/// Contexts of exits and time spent.
-pub(crate) static STAY: [Level; 2] = [
+/// Contexts of exits and time spent. The first is of all rooms, and time out of the house does not count for it. A stay has no horizon.
+pub(crate) static STAY: [Level; 3] = [
+    level(19, "stay", &[Horizon, Spent], [0.0, 0.0]),
     level(20, "stay-by-place", &[Here, Spent], [0.0, 0.0]),
     level(21, "stay-by-hour", &[Here, Spent, Hours3], [0.0, 0.0]),
 ];
@@ -59,7 +60,16 @@ impl Leaving {
         // After a return the forecast starts at the return.
         self.at_s = if here.is_some() { 0.0 } else { -spent_s.clamp(0.0, FARTHEST_S) };
         let [oldest, newest] = [spent_s, farthest_s.min(FARTHEST_S) - self.at_s].map(|s| usize::from(time_class(s)));
-        let places = view.home.places();
+        // The rate of leaving in these contexts, with a wider one as the prior.
+        let narrowed = |wider, levels: &'static [Level], context| {
+            levels.iter().flat_map(|level| view.seen(level, &context)).fold(wider, |rate, (seen, _)| {
+                let (exits, spent_s) = (seen.count(EXITS), 60.0 * seen.count(MINUTES));
+                (exits + RATE_STRENGTH) / (spent_s + RATE_STRENGTH / rate)
+            })
+        };
+        let shipped = |scale_s, age| 2.0 / (scale_s + 0.5 * class_s(age).iter().sum::<f64>());
+        let of_rooms = |age| narrowed(shipped(SHIPPED_STAY_S, age), &STAY[..1], Context::new(NONE, age as u16, now_s));
+        let (places, in_rooms) = (view.home.places(), std::array::from_fn::<_, CLASSES, _>(of_rooms));
         self.rates.clear();
         self.rates.resize(places, [0.0; CLASSES]);
         self.leads.clear();
@@ -70,17 +80,11 @@ impl Leaving {
             normalise(leads);
             let index = |number| view.home.places.index(number).filter(|other| *other != place);
             EXIT.iter().for_each(|level| _ = view.smooth(level, &Context::new(number, 0, now_s), index, leads));
-            let scale_s = if number == ELSEWHERE { SHIPPED_AWAY_S } else { SHIPPED_STAY_S };
             // At the ages that a stay can have.
             let is_possible = |age| age <= newest || Some(place) == here && age >= oldest;
             for (age, rate) in rates.iter_mut().enumerate().filter(|(age, _)| is_possible(*age)) {
-                let [begin_s, end_s] = class_s(age);
-                *rate = 2.0 / (scale_s + 0.5 * (begin_s + end_s));
-                let context = Context::new(number, age as u16, now_s);
-                for (seen, _) in STAY.iter().flat_map(|level| view.seen(level, &context)) {
-                    let (exits, spent_s) = (seen.count(EXITS), 60.0 * seen.count(MINUTES));
-                    *rate = (exits + RATE_STRENGTH) / (spent_s + RATE_STRENGTH / *rate);
-                }
+                let wider = if number == ELSEWHERE { shipped(SHIPPED_AWAY_S, age) } else { in_rooms[age] };
+                *rate = narrowed(wider, &STAY[1..], Context::new(number, age as u16, now_s));
             }
         }
         self.mass.clear();

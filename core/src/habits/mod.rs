@@ -501,8 +501,8 @@ impl Habits {
         out.extend_from_slice(&shipped[..cells.min(shipped.len())]);
         out.resize(cells, 0.0);
         shares.clear();
-        stays.forecast(&view, (now_s, horizons_s), out, |[shipped, leaving, later], _| {
-            shares.push(WhenShares { shipped, leaving, later });
+        stays.forecast(&view, (now_s, horizons_s), out, |[shipped, leaving, by_place, later], _| {
+            shares.push(WhenShares { shipped, leaving, later: by_place + later });
         });
     }
 

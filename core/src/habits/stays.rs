@@ -5,14 +5,15 @@
 //! | --- | --- |
 //! | shipped | the forecast without habits ([`crate::forecast`]) |
 //! | leaving | the rate of leaving a place, and where exits led ([`super::leaving`]) |
-//! | later | the places that much later in the past, by place, hour and time spent, over the share of unchanged places |
+//! | by place | the places that much later in the past, by place, over the share of unchanged places |
+//! | later | as by place, by hour and by time spent as well |
 //!
 //! Outcomes are learned a horizon later. If a person came back and has no known room yet, only leaving has data.
 
 use std::collections::VecDeque;
 
 use super::context::Fact::{Here, Horizon, HorizonSpent, Hours2, Hours3};
-use super::context::{CLASSES_S, Context, NONE, Without, level, time_class};
+use super::context::{CLASSES_S, Context, Level, NONE, Without, level, time_class};
 use super::leaving::{EXIT, EXITS, Leaving, MINUTES, SHIPPED_AWAY_S, STAY};
 use super::names::ELSEWHERE;
 use super::pool::{Begin, Plan, Pool, Source, expert};
@@ -21,17 +22,18 @@ use super::view::{View, add, normalise};
 
 /// Horizons at which the weights are learned, in seconds.
 pub(crate) const ANCHORS_S: [f64; 4] = [60.0, 300.0, 900.0, 3_600.0];
-const EXPERTS: usize = 3;
+const EXPERTS: usize = 4;
 const SHARE: f64 = 0.0005;
 const SHIPPED: usize = 0;
 const LEAVING: usize = 1;
-const LATER: usize = 2;
+const BY_PLACE: usize = 2;
+static OF_PLACE: [Level; 1] = [level(24, "later-by-place", &[Here, Horizon], [0.0, 8.0])];
 pub(crate) static PLAN: Plan = Plan {
     experts: &[
         expert(0, "", [0.4, 0.0], Source::Model, Begin::Given),
-        expert(51, "leaving", [0.3, 0.0], Source::Habit, Begin::Given),
-        expert(53, "later", [0.3, 0.0], Source::Hour, Begin::Given).over(&[
-            level(24, "later-by-place", &[Here, Horizon], [0.0, 8.0]),
+        expert(51, "leaving", [0.2, 0.0], Source::Habit, Begin::Given),
+        expert(52, "by-place", [0.2, 0.0], Source::Habit, Begin::Given).over(&OF_PLACE),
+        expert(53, "later", [0.2, 0.0], Source::Hour, Begin::After(BY_PLACE, 1)).over(&[
             level(25, "later-by-hour", &[Here, Horizon, Hours3], [0.0, 40.0]),
             level(26, "later-by-dwell", &[Here, HorizonSpent, Hours2], [0.0, 40.0]),
         ]),
@@ -67,7 +69,7 @@ struct Waiting {
 /// One horizon.
 #[derive(Debug, Clone)]
 pub(crate) struct Anchor {
-    /// The weights, and the row of later in the latest forecast.
+    /// The weights, and the rows of by place and later in the latest forecast.
     pub(crate) pool: Pool,
     /// Samples in which the person was in the same place, and all samples: one of two at the start.
     pub(crate) stayed: [f64; 2],
@@ -152,7 +154,8 @@ impl Stays {
 
     fn count(&self, view: &mut View<'_>, at_s: f64, symbol: (u16, f64)) {
         let context = self.context(at_s);
-        STAY.iter().for_each(|level| view.count(level, &context, symbol, at_s));
+        let levels = &STAY[usize::from(self.place == ELSEWHERE)..];
+        levels.iter().for_each(|level| view.count(level, &context, symbol, at_s));
     }
 
     /// Puts the person in the place `number`, or in an unknown one (`NONE`). Due forecasts learn first: their outcome is the place before.
@@ -248,9 +251,9 @@ impl Stays {
                 _ => stayed[0] / stayed[1],
             };
             pool.begin(places);
-            let later = pool.row_mut(LATER);
-            later.fill((1.0 - stay) / (places - 1).max(1) as f64);
-            later[here] = stay;
+            let by_place = pool.row_mut(BY_PLACE);
+            by_place.fill((1.0 - stay) / (places - 1).max(1) as f64);
+            by_place[here] = stay;
             pool.smooth(view, &context.before(horizon), |number| view.home.places.index(number));
         }
         for (horizon_s, out) in horizons_s.iter().zip(out.chunks_exact_mut(places)) {
@@ -265,11 +268,12 @@ impl Stays {
             }
             if let Some(here) = here {
                 for (index, part) in between(*horizon_s).into_iter().filter(|(_, part)| *part > 0.0) {
-                    let later = &mut experts[LATER * places..][..places];
-                    match index {
-                        Some(index) => add(later, anchors[index].pool.row(LATER), part),
-                        // At time zero the person is in the present place.
-                        None => later[here] += part,
+                    for (expert, row) in experts.chunks_exact_mut(places).enumerate().skip(BY_PLACE) {
+                        match index {
+                            Some(index) => add(row, anchors[index].pool.row(expert), part),
+                            // At time zero the person is in the present place.
+                            None => row[here] += part,
+                        }
                     }
                     add(&mut weights, &anchors[index.unwrap_or(0)].pool.mixture.weights, part);
                 }

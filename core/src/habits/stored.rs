@@ -13,7 +13,7 @@ use crate::ids::PersonId;
 use crate::parsing::{Keyed, json_says, list_of_keyed};
 
 /// Changes when older programs cannot read the state.
-pub(crate) const VERSION: u16 = 6;
+pub(crate) const VERSION: u16 = 7;
 /// The version of 0.1.0: it had other experts, and the keys of some contexts had other numbers.
 const OLDEST: u16 = 3;
 /// Largest readable state, in bytes.
@@ -184,7 +184,7 @@ impl Habits {
         }
         for StoredRow { kind, slot, after, touched_min, mut counts } in rows {
             // A removed context, or one with other numbers.
-            if KINDS[usize::from(kind)].is_none() || version == OLDEST && [11, 20, 21, 26, 31].contains(&kind) {
+            if KINDS[usize::from(kind)].is_none() || version == OLDEST && [11, 19, 20, 21, 26, 31].contains(&kind) {
                 continue;
             }
             // Earlier versions wrote counts of no symbol.
