@@ -6,8 +6,11 @@
 
 use std::hint::black_box;
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
 use criterion::{BatchSize, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::label_trie::LabelTrie;
 use roomcast_core::narration::history::HistoryLimits;
@@ -18,6 +21,7 @@ use roomcast_core::prompt::{BindingSequence, write_prompt};
 use roomcast_core::scorer::correction::Correction;
 use roomcast_core::scorer::{LabelScores, LanguageModel, Method, Scorer, TextStart, Tokenisation, softmax};
 use roomcast_core::semantic_map::SemanticMap;
+use roomcast_core::tracker::{self, Home, Options, RoomUse, SensorKind, SensorSpec, Tracker};
 use roomcast_llama::{LlamaModel, LlamaOptions};
 use roomcast_services::embedded;
 use roomcast_services::setup::load_model;
@@ -209,5 +213,83 @@ fn reading(criterion: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, reading, trie, prompt, soft_max, event, scoring);
+/// Rooms of the flat around its hall, and their sensors in the same order.
+const ROOMS: [(RoomUse, SensorKind); 12] = [
+    (RoomUse::Hall, SensorKind::Motion),
+    (RoomUse::Bedroom, SensorKind::Motion),
+    (RoomUse::Bedroom, SensorKind::Motion),
+    (RoomUse::Bedroom, SensorKind::Motion),
+    (RoomUse::Bathroom, SensorKind::Motion),
+    (RoomUse::Bathroom, SensorKind::Motion),
+    (RoomUse::Kitchen, SensorKind::Motion),
+    (RoomUse::Living, SensorKind::Presence),
+    (RoomUse::Living, SensorKind::Motion),
+    (RoomUse::Office, SensorKind::Presence),
+    (RoomUse::Other, SensorKind::Motion),
+    (RoomUse::Other, SensorKind::Motion),
+];
+
+/// Six hours of persons who walk through the hall from room to room: time, sensor and state.
+fn walks(persons: usize) -> Vec<(f64, usize, bool)> {
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    let mut flips = Vec::new();
+    for _ in 0..persons {
+        let (mut now_s, mut room) = (0.0_f64, 0);
+        while now_s < 21_600.0 {
+            room = if room == 0 { random.random_range(1..ROOMS.len()) } else { 0 };
+            let stay_s = if room == 0 { 5.0 } else { random.random_range(60.0..2_400.0) };
+            flips.push((now_s, room, true));
+            let hold_s = if ROOMS[room].1 == SensorKind::Presence { stay_s } else { 0.0 };
+            flips.push((now_s + hold_s + random.random_range(20.0..60.0), room, false));
+            now_s += stay_s;
+        }
+    }
+    flips.sort_by(|a, b| a.0.total_cmp(&b.0));
+    flips
+}
+
+/// A sensor's report, by persons in twelve rooms: its own cost, and the cost of the idle time before it.
+fn who_is_where(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("who is where, by persons");
+    for persons in [1, 2, 4] {
+        let uses = ROOMS.map(|(usage, _)| usage);
+        let doors: Vec<(usize, usize)> = (1..ROOMS.len()).map(|room| (0, room)).collect();
+        let home = Home::new(&uses, &doors, &[1.0]).expect("twelve rooms");
+        let mut first = Tracker::new(home, Options::default(), 0.0);
+        for person in 0..persons {
+            first.add_person().expect("four persons at most");
+            let sensor = first.add_sensor(SensorSpec::phone(person)).expect("the person exists");
+            first.observe(0.0, &tracker::Observation::Sensor { sensor, on: Some(true) }, 1.0);
+        }
+        for (room, (_, kind)) in ROOMS.into_iter().enumerate() {
+            first.add_sensor(SensorSpec::of_room(kind, room)).expect("the room exists");
+        }
+        let flips = walks(persons);
+        for (name, is_report) in [("report", true), ("idle before it", false)] {
+            let (mut own, mut next) = (first.clone(), 0);
+            group.bench_function(BenchmarkId::new(name, persons), |bencher| {
+                bencher.iter_custom(|count| {
+                    let mut spent = Duration::ZERO;
+                    for _ in 0..count {
+                        if next == flips.len() {
+                            (own, next) = (first.clone(), 0);
+                        }
+                        let (at_s, room, on) = flips[next];
+                        let observation = tracker::Observation::Sensor { sensor: persons + room, on: Some(on) };
+                        let began = Instant::now();
+                        own.settle(at_s);
+                        let settled = Instant::now();
+                        own.observe(at_s, &observation, 1.0);
+                        spent += if is_report { settled.elapsed() } else { settled - began };
+                        next += 1;
+                    }
+                    spent
+                });
+            });
+        }
+    }
+    group.finish();
+}
+
+criterion_group!(benches, reading, who_is_where, trie, prompt, soft_max, event, scoring);
 criterion_main!(benches);

@@ -6,7 +6,7 @@
 //! dropped probability is known.
 
 use super::TrackerError;
-use super::motion::{Place, Transitions, room_of, visibility};
+use super::motion::{Place, Transitions, room_of};
 
 /// Most persons, known and unknown.
 pub const SLOTS_MAX: usize = 16;
@@ -32,36 +32,37 @@ pub(super) fn with(key: Key, slot: usize, place: Place) -> Key {
 pub(super) struct State {
     pub(super) key: Key,
     pub(super) weight: f64,
+    /// What it gains in the present step.
+    gain: f64,
 }
 
-/// Occupancy of the rooms in one state, as bit sets.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Occupied {
-    /// Rooms with at least one person.
-    pub(super) any: u64,
-    /// Rooms with at least one person who is not still.
-    pub(super) seen: u64,
-    /// Rooms in which at least one person walks.
-    pub(super) moving: u64,
+impl State {
+    fn new(key: Key, weight: f64) -> Self {
+        Self { key, weight, gain: 0.0 }
+    }
 }
 
-impl Occupied {
-    pub(super) fn of(key: Key, slots: usize) -> Self {
-        let mut own = Self { any: 0, seen: 0, moving: 0 };
-        for place in key.to_le_bytes().into_iter().take(slots) {
-            if let Some(room) = room_of(place) {
-                own.any |= 1 << room;
-                own.seen |= u64::from(visibility(place) >= 2) << room;
-                own.moving |= u64::from(visibility(place) >= 3) << room;
-            }
-        }
-        own
+/// The rooms with at least one person in a state, as a bit set. `hidden` gets the place of each person who shares a room with a more visible one:
+/// the room's sensors see only the most visible person.
+pub(super) fn occupied(key: Key, slots: usize, mut hidden: impl FnMut(Place)) -> u64 {
+    let places = &key.to_le_bytes()[..slots];
+    let (mut any, mut shared) = (0_u64, 0_u64);
+    for place in places {
+        let room = room_of(*place).map_or(0, |room| 1 << room);
+        shared |= any & room;
+        any |= room;
     }
-
-    /// How well sensors see the most visible person of a room: 0 for an empty room, 1 still, 2 settled, 3 moving.
-    pub(super) fn class(&self, room: usize) -> usize {
-        [self.any, self.seen, self.moving].iter().map(|bits| (bits >> room & 1) as usize).sum()
+    while shared != 0 {
+        let room = Some(shared.trailing_zeros() as usize);
+        let here = places.iter().copied().filter(|place| room_of(*place) == room);
+        // The places of a room are in the order of their visibility, the most visible first.
+        here.reduce(|seen, place| {
+            hidden(seen.max(place));
+            seen.min(place)
+        });
+        shared &= shared - 1;
     }
+    any
 }
 
 /// The belief.
@@ -76,7 +77,6 @@ pub(super) struct Belief {
     /// The lightest weight of a full belief: much smaller flows would be dropped at once, so they stay.
     lightest: f64,
     states: Vec<State>,
-    gains: Vec<f64>,
     /// Open addressing: index into `states` plus one; 0 is free. Its length is a power of two.
     index: Vec<u32>,
 }
@@ -86,7 +86,7 @@ impl Belief {
     pub(super) fn new(unknown: usize, most: usize, floor: f64) -> Self {
         let room = GROWTH * most.min(1 << 10);
         let mut states = Vec::with_capacity(room);
-        states.push(State { key: 0, weight: 1.0 });
+        states.push(State::new(0, 1.0));
         Self {
             slots: unknown,
             unknown,
@@ -94,17 +94,13 @@ impl Belief {
             floor,
             lightest: 0.0,
             states,
-            gains: Vec::with_capacity(room),
-            index: vec![0; (2 * room + 2).next_power_of_two()],
+            index: Vec::with_capacity((4 * room).next_power_of_two()),
         }
     }
 
     /// Sets how many states are kept from the next step on.
     pub(super) fn keep_at_most(&mut self, most: usize) {
         self.most = most;
-        // A small index stays in the first cache.
-        let room = 2 * GROWTH * most.min(1 << 10) + 2;
-        self.index = vec![0; room.next_power_of_two()];
     }
 
     pub(super) fn states(&self) -> &[State] {
@@ -124,12 +120,13 @@ impl Belief {
         self.slots += 1;
         let before = self.states.len();
         for at in 0..before {
-            let State { key, weight } = self.states[at];
-            let moved = prior.iter().map(|(place, p)| State { key: with(key, slot, *place), weight: weight * p });
+            let State { key, weight, .. } = self.states[at];
+            let moved = prior.iter().map(|(place, p)| State::new(with(key, slot, *place), weight * p));
             self.states.extend(moved);
         }
         self.states.drain(..before);
-        self.tidy();
+        let total = self.scale(|_| 1.0);
+        self.tidy(total);
         Ok(slot)
     }
 
@@ -142,7 +139,8 @@ impl Belief {
             state.key = below | above;
         }
         self.merge();
-        self.tidy();
+        let total = self.scale(|_| 1.0);
+        self.tidy(total);
     }
 
     /// Unknown persons in sorted order.
@@ -166,7 +164,6 @@ impl Belief {
     /// The index of a state, which is added with weight 0 if it is new. `None` if it is new and the belief is full.
     fn find(&mut self, key: Key) -> Option<usize> {
         if 2 * (self.states.len() + 1) > self.index.len() {
-            self.index.resize(2 * self.index.len(), 0);
             self.reindex();
         }
         let mut at = self.slot_of(key);
@@ -180,15 +177,14 @@ impl Belief {
         if self.states.len() >= self.most.saturating_mul(GROWTH) {
             return None;
         }
-        self.states.push(State { key, weight: 0.0 });
-        self.gains.push(0.0);
+        self.states.push(State::new(key, 0.0));
         self.index[at] = self.states.len() as u32;
         Some(self.states.len() - 1)
     }
 
     fn reindex(&mut self) {
-        // A new person multiplies the states.
-        let room = (2 * (self.states.len() + 1)).next_power_of_two().max(self.index.len());
+        // A small index stays in the first cache.
+        let room = (4 * self.states.len()).next_power_of_two();
         self.index.clear();
         self.index.resize(room, 0);
         for number in 0..self.states.len() {
@@ -212,73 +208,94 @@ impl Belief {
         });
     }
 
-    /// One step of motion, for each person independently given the state.
-    pub(super) fn step(&mut self, level: usize, transitions: &[Transitions], of_slot: &[usize]) {
+    /// One step of motion, for each person independently given the state, after a likelihood.
+    pub(super) fn step(
+        &mut self,
+        likelihood: impl FnMut(Key) -> f64,
+        units: usize,
+        transitions: &[Transitions],
+        of_slot: &[usize],
+    ) {
+        let total = self.scale(likelihood);
         self.reindex();
-        self.gains.clear();
-        self.gains.resize(self.states.len(), 0.0);
-        let least = self.floor.max(0.05 * self.lightest);
+        let least = total * self.floor.max(0.05 * self.lightest);
         for slot in 0..self.slots {
             let own = &transitions[of_slot[slot]];
+            // Per place: its bits in a state, and the weight up to which nothing moves.
+            let mut moves = [0; 256];
+            let mut stays = [f64::INFINITY; 256];
+            for from in 0..own.places() {
+                moves[from] = with(0, slot, from as Place);
+                stays[from] =
+                    own.row(units, from as Place).first().map_or(f64::INFINITY, |way| least / f64::from(way.0));
+            }
             for at in 0..self.states.len() {
-                let State { key, weight } = self.states[at];
+                let State { key, weight, .. } = self.states[at];
+                let from = key.to_le_bytes()[slot];
+                if weight <= stays[usize::from(from)] {
+                    continue;
+                }
+                let others = key ^ moves[usize::from(from)];
                 let mut moved = 0.0;
-                for &(to, p) in own.row(level, place(key, slot)) {
-                    let flow = weight * p;
+                for &(p, to) in own.row(units, from) {
+                    let flow = weight * f64::from(p);
                     if flow <= least {
                         break;
                     }
-                    let next = with(key, slot, to);
+                    let next = others ^ moves[usize::from(to)];
                     let next = if slot < self.unknown { self.sorted(next) } else { next };
                     if let Some(next) = self.find(next) {
-                        self.gains[next] += flow;
+                        self.states[next].gain += flow;
                         moved += flow;
                     }
                 }
-                self.gains[at] -= moved;
+                self.states[at].gain -= moved;
             }
-            for (state, gain) in self.states.iter_mut().zip(&mut self.gains) {
-                state.weight += std::mem::take(gain);
-            }
+            self.states.iter_mut().for_each(|state| state.weight += std::mem::take(&mut state.gain));
         }
-        self.tidy();
+        self.tidy(total);
     }
 
-    /// Multiplies each state by its likelihood.
-    pub(super) fn weigh(&mut self, mut likelihood: impl FnMut(Key) -> f64) {
-        self.states.iter_mut().for_each(|state| state.weight *= likelihood(state.key));
-        self.tidy();
+    /// Multiplies each state by its likelihood. Returns the sum of the weights, which is never zero.
+    fn scale(&mut self, mut likelihood: impl FnMut(Key) -> f64) -> f64 {
+        let mut total = 0.0;
+        for state in &mut self.states {
+            state.weight *= likelihood(state.key);
+            total += state.weight;
+        }
+        if total.is_finite() && total > f64::MIN_POSITIVE {
+            return total;
+        }
+        // Every state was ruled out. The states stay, all alike.
+        let share = 1.0 / self.states.len().max(1) as f64;
+        self.states.iter_mut().for_each(|state| state.weight = share);
+        1.0
+    }
+
+    /// Multiplies each state by its likelihood, and drops the lightest.
+    pub(super) fn weigh(&mut self, likelihood: impl FnMut(Key) -> f64) {
+        let total = self.scale(likelihood);
+        self.tidy(total);
     }
 
     /// An event that moves persons: each state goes to several, as `visit(state, add)` lists with factors.
     pub(super) fn transfer(&mut self, mut visit: impl FnMut(State, &mut dyn FnMut(Key, f64))) {
         self.reindex();
-        self.gains.clear();
-        self.gains.resize(self.states.len(), 0.0);
         for at in 0..self.states.len() {
             let state = self.states[at];
             visit(state, &mut |next, factor| {
                 if let Some(next) = self.find(self.sorted(next)) {
-                    self.gains[next] += state.weight * factor;
+                    self.states[next].gain += state.weight * factor;
                 }
             });
         }
-        for (state, gain) in self.states.iter_mut().zip(&self.gains) {
-            state.weight = *gain;
-        }
-        self.tidy();
+        self.states.iter_mut().for_each(|state| state.weight = std::mem::take(&mut state.gain));
+        let total = self.scale(|_| 1.0);
+        self.tidy(total);
     }
 
-    /// Drops the lightest states and makes the weights sum to one.
-    fn tidy(&mut self) {
-        let total: f64 = self.states.iter().map(|state| state.weight).sum();
-        let sound = total.is_finite() && total > f64::MIN_POSITIVE;
-        if !sound {
-            // Every state was ruled out. The states stay, all alike.
-            let share = 1.0 / self.states.len().max(1) as f64;
-            self.states.iter_mut().for_each(|state| state.weight = share);
-            return;
-        }
+    /// Drops the lightest states and makes the weights, which sum to `total`, sum to one.
+    fn tidy(&mut self, total: f64) {
         let least = self.floor * total;
         self.states.retain(|state| state.weight > least);
         if self.states.len() > self.most {
@@ -287,9 +304,13 @@ impl Belief {
             self.states.truncate(self.most);
         }
         let kept: f64 = self.states.iter().map(|state| state.weight).sum();
-        self.states.iter_mut().for_each(|state| state.weight /= kept);
-        let is_full = self.states.len() == self.most;
-        let lightest = self.states.iter().map(|state| state.weight).fold(1.0, f64::min);
-        self.lightest = if is_full { lightest } else { 0.0 };
+        self.lightest = f64::INFINITY;
+        for state in &mut self.states {
+            state.weight /= kept;
+            self.lightest = self.lightest.min(state.weight);
+        }
+        if self.states.len() < self.most {
+            self.lightest = 0.0;
+        }
     }
 }

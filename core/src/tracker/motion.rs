@@ -125,7 +125,7 @@ impl Movement {
     }
 
     /// Rate from one place to another, per second, as `visit(from, to, rate)`. A sensed door that is shut lets `leak` (per room with a way out) of the people through.
-    fn rates(&self, home: &Home, leak: &[f64], mut visit: impl FnMut(Place, Place, f64)) {
+    fn rates(&self, home: &Home, leak: &[f64], forgets: f64, mut visit: impl FnMut(Place, Place, f64)) {
         let count = home.rooms();
         let exits: f64 = (0..count).map(|room| home.way_out(room)).sum();
         for (room, leak) in leak.iter().enumerate().take(count) {
@@ -156,8 +156,8 @@ impl Movement {
             match way_out {
                 Some(next) if next == room => {
                     let leaves = goes * leak * outside / total;
-                    visit(moving(room), ELSEWHERE, leaves * (1.0 - FORGETS));
-                    visit(moving(room), PHONELESS, leaves * FORGETS);
+                    visit(moving(room), ELSEWHERE, leaves * (1.0 - forgets));
+                    visit(moving(room), PHONELESS, leaves * forgets);
                 }
                 Some(next) => visit(moving(room), moving(next), goes * outside / total),
                 None => {}
@@ -171,24 +171,30 @@ impl Movement {
     }
 }
 
-/// The shortest step in seconds; each level doubles it, so that the longest is 64 s.
+/// The unit of steps in seconds.
 pub(super) const STEP_S: f64 = 0.5;
-pub(super) const LEVELS: usize = 8;
+/// A step has at most so many units, or a multiple of them up to the longest.
+pub(super) const FINE: usize = 8;
+pub(super) const LONGEST: usize = 64;
+/// Doubled steps, up to an hour, for forecasts.
+const DOUBLED: usize = 14;
+/// Less probable ways do not move a belief.
+const LEAST: f64 = 1e-9;
 
-/// Transition probabilities over one step.
-#[derive(Debug, Clone, PartialEq, Default)]
-struct Level {
-    /// Row by row.
-    dense: Vec<f64>,
-    /// Per place, where it leads other than to itself, most probable first.
-    rows: Vec<Vec<(Place, f64)>>,
+/// The number of the table for a step of so many units.
+fn table_of(units: usize) -> usize {
+    if units <= FINE { units - 1 } else { units / FINE + FINE - 2 }
 }
 
-/// Transition probabilities of one person over steps of 0.5 s to 64 s.
+/// Transition probabilities of one person.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Transitions {
     places: usize,
-    levels: Vec<Level>,
+    /// Over one, two, four and more units, row by row.
+    doubled: Vec<Vec<f64>>,
+    /// Rows by step and place: where it leads other than to itself, most probable first; and where each row begins.
+    entries: Vec<(f32, Place)>,
+    starts: Vec<usize>,
     /// Per place and place: the rate, for events that are transitions.
     rates: Vec<f64>,
 }
@@ -196,36 +202,51 @@ pub(super) struct Transitions {
 impl Transitions {
     pub(super) fn new(home: &Home) -> Self {
         let places = places(home.rooms());
-        let level = || Level { dense: vec![0.0; places * places], rows: vec![Vec::with_capacity(places); places] };
-        Self { places, levels: (0..LEVELS).map(|_| level()).collect(), rates: vec![0.0; places * places] }
+        let square = || vec![0.0; places * places];
+        let doubled = (0..DOUBLED).map(|_| square()).collect();
+        Self { places, doubled, entries: Vec::new(), starts: Vec::new(), rates: square() }
     }
 
-    /// Fills the tables for these rates. Each level is the square of the one before; the first is a Taylor series of the generator.
-    pub(super) fn fill(&mut self, home: &Home, movement: &Movement, leak: &[f64]) {
+    /// Fills the tables for these rates. The first is a Taylor series of the generator; the others are its powers.
+    pub(super) fn fill(&mut self, home: &Home, movement: &Movement, leak: &[f64], forgets: f64) {
         let places = self.places;
         self.rates.fill(0.0);
-        movement.rates(home, leak, |from, to, rate| {
+        movement.rates(home, leak, forgets, |from, to, rate| {
             self.rates[usize::from(from) * places + usize::from(to)] += rate;
         });
-        for level in 0..LEVELS {
-            let (before, own) = self.levels.split_at_mut(level);
-            let own = &mut own[0];
-            match before.last() {
-                None => first(&self.rates, places, &mut own.dense),
-                Some(half) => square(&half.dense, places, &mut own.dense),
+        first(&self.rates, places, &mut self.doubled[0]);
+        for level in 1..DOUBLED {
+            let (before, own) = self.doubled.split_at_mut(level);
+            square(&before[level - 1], places, &mut own[0]);
+        }
+        let (mut own, mut next) = (self.doubled[0].clone(), Vec::new());
+        self.entries.clear();
+        self.starts.clear();
+        for table in 0..=table_of(LONGEST) {
+            if table > 0 {
+                let more = &self.doubled[if table < FINE { 0 } else { FINE.ilog2() as usize }];
+                product(&own, more, places, &mut next);
+                std::mem::swap(&mut own, &mut next);
             }
-            for (from, row) in own.rows.iter_mut().enumerate() {
-                row.clear();
-                let entries = own.dense[from * places..(from + 1) * places].iter().enumerate();
-                row.extend(entries.filter(|(to, p)| *to != from && **p > 1e-12).map(|(to, p)| (to as Place, *p)));
-                row.sort_unstable_by(|a, b| b.1.total_cmp(&a.1));
+            for (from, row) in own.chunks(places).enumerate() {
+                let start = self.entries.len();
+                self.starts.push(start);
+                let entries = row.iter().enumerate().filter(|(to, p)| *to != from && **p > LEAST);
+                self.entries.extend(entries.map(|(to, p)| (*p as f32, to as Place)));
+                self.entries[start..].sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
             }
         }
+        self.starts.push(self.entries.len());
     }
 
-    /// Where a place leads within a step, most probable first, itself left out.
-    pub(super) fn row(&self, level: usize, from: Place) -> &[(Place, f64)] {
-        &self.levels[level].rows[usize::from(from)]
+    pub(super) fn places(&self) -> usize {
+        self.places
+    }
+
+    /// Where a place leads within a step of so many units, most probable first, itself left out.
+    pub(super) fn row(&self, units: usize, from: Place) -> &[(f32, Place)] {
+        let row = table_of(units) * self.places + usize::from(from);
+        &self.entries[self.starts[row]..self.starts[row + 1]]
     }
 
     /// Rate from a place to another, per second. A settled person stands up first: their rate is the rate at which they leave.
@@ -241,29 +262,18 @@ impl Transitions {
 
     /// The distribution a time later, from a distribution over places. `own` and `spare` have one entry per place.
     pub(super) fn run(&self, horizon_s: f64, own: &mut Vec<f64>, spare: &mut Vec<f64>) {
-        let mut left_s = horizon_s.max(0.0);
-        while left_s >= STEP_S {
-            let level = level_of(left_s);
-            let dense = &self.levels[level].dense;
-            spare.fill(0.0);
-            for (from, p) in own.iter().enumerate().filter(|(_, p)| **p > 0.0) {
-                let row = &dense[from * self.places..(from + 1) * self.places];
-                spare.iter_mut().zip(row).for_each(|(to, share)| *to += p * share);
+        let mut left = (horizon_s / STEP_S) as usize;
+        for (level, dense) in self.doubled.iter().enumerate().rev() {
+            while left >> level > 0 {
+                left -= 1 << level;
+                spare.fill(0.0);
+                for (p, row) in own.iter().zip(dense.chunks(self.places)).filter(|(p, _)| **p > 0.0) {
+                    spare.iter_mut().zip(row).for_each(|(to, share)| *to += p * share);
+                }
+                std::mem::swap(own, spare);
             }
-            std::mem::swap(own, spare);
-            left_s -= step_s(level);
         }
     }
-}
-
-/// The highest level that is no longer than a time of at least `STEP_S`.
-pub(super) fn level_of(seconds: f64) -> usize {
-    (1..LEVELS).rev().find(|level| step_s(*level) <= seconds).unwrap_or(0)
-}
-
-/// The seconds that one step of a level covers. Each level covers twice the time of the level before.
-pub(super) fn step_s(level: usize) -> f64 {
-    STEP_S * f64::from(1u32 << level)
 }
 
 /// `exp(Q STEP_S)`: with the fastest rate of one in two seconds, four terms and a division by four leave an error below 1e-9.
@@ -322,15 +332,16 @@ mod tests {
     fn rows_of_every_step_sum_to_one_and_follow_the_doors() {
         let home = home();
         let mut own = Transitions::new(&home);
-        own.fill(&home, &Movement::usual(&home, 12), &[1.0; 3]);
-        for level in &own.levels {
-            for row in level.dense.chunks(own.places) {
-                assert!((row.iter().sum::<f64>() - 1.0).abs() < 1e-9 && row.iter().all(|p| *p >= 0.0));
-            }
+        own.fill(&home, &Movement::usual(&home, 12), &[1.0; 3], FORGETS);
+        for row in own.doubled.iter().flat_map(|dense| dense.chunks(own.places)) {
+            assert!((row.iter().sum::<f64>() - 1.0).abs() < 1e-9 && row.iter().all(|p| *p >= 0.0));
         }
-        let reached =
-            |level: usize, from, to| own.row(level, from).iter().find(|(place, _)| *place == to).map_or(0.0, |r| r.1);
-        assert!(reached(0, moving(0), moving(2)) < 0.1 * reached(0, moving(0), moving(1)), "the hall lies between");
+        let reached = |units: usize, from, to| {
+            own.row(units, from).iter().find(|way| way.1 == to).map_or(0.0, |way| f64::from(way.0))
+        };
+        assert!(reached(1, moving(0), moving(2)) < 0.1 * reached(1, moving(0), moving(1)), "the hall lies between");
+        let doubled = |level: usize| own.doubled[level][usize::from(settled(0)) * own.places + usize::from(moving(2))];
+        assert!((4..=6).all(|level| (reached(1 << level, settled(0), moving(2)) - doubled(level)).abs() < 1e-6));
         assert_eq!(own.rate(moving(0), moving(2)), 0.0);
     }
 
@@ -340,7 +351,7 @@ mod tests {
         let mut movement = Movement::usual(&home, 12);
         movement.leave_per_s[0] = 1.0 / 1_800.0;
         let mut own = Transitions::new(&home);
-        own.fill(&home, &movement, &[1.0; 3]);
+        own.fill(&home, &movement, &[1.0; 3], FORGETS);
         let mut start = vec![0.0; own.places];
         start[usize::from(settled(0))] = 1.0;
         own.run(60.0, &mut start, &mut vec![0.0; 11]);

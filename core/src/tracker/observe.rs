@@ -1,6 +1,6 @@
 //! The likelihood of each observation over joint states, and the attribution to persons afterwards.
 
-use super::belief::{Key, Occupied, SLOTS_MAX, State, place, with};
+use super::belief::{Key, SLOTS_MAX, State, occupied, place, with};
 use super::motion::{ELSEWHERE, FORGETS, PHONELESS, Place, moving, places, room_of, settled, still, visibility};
 use super::sensors::{CLASSES, Sensor};
 use super::{Cause, ROOMS_MAX, SensorKind, Tracker};
@@ -134,7 +134,7 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
             }
             let slots = own.belief.slots();
             own.belief.weigh(|key| {
-                let any = Occupied::of(key, slots).any;
+                let any = occupied(key, slots, |_| ());
                 let is_so = room.map_or(any != 0, |room| any >> room & 1 == 1);
                 if is_so { trust } else { 1.0 - trust }
             });
@@ -153,7 +153,7 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
         Observation::Gone { who: None } => departure(own, trust, true),
         Observation::Empty { room } => {
             let slots = own.belief.slots();
-            let is_free = |key: Key| Occupied::of(key, slots).any >> room & 1 == 0;
+            let is_free = |key: Key| occupied(key, slots, |_| ()) >> room & 1 == 0;
             has(room).then(|| own.belief.weigh(|key| if is_free(key) { trust } else { 1.0 - trust }))?;
         }
         Observation::Count { room, persons } => {
@@ -177,6 +177,7 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
             return None;
         }
     }
+    own.summarise();
     Some(match observation {
         Observation::Deed { .. } | Observation::Text { .. } | Observation::Lies { .. } => Cause::Deed,
         Observation::Present { .. } => Cause::Present,
@@ -216,7 +217,7 @@ fn relocate(own: &mut Tracker, slot: usize, lost: f64, places: &[(Place, f64)]) 
     let light: f64 = own.belief.states().iter().filter(|state| state.weight < LIGHT).map(|state| state.weight).sum();
     // Light states weigh little, but all of them may be light.
     let least = if light > 0.5 { 0.0 } else { LIGHT };
-    own.belief.transfer(|State { key, weight }, add| {
+    own.belief.transfer(|State { key, weight, .. }, add| {
         if weight < least {
             add(key, 1.0);
             return;
@@ -280,16 +281,14 @@ fn departs(own: &Tracker, slot: usize, place: Place) -> f64 {
 fn departure(own: &mut Tracker, trust: f64, only_unknown: bool) {
     let slots = if only_unknown { own.unknown() } else { own.belief.slots() };
     let places = places(own.home.rooms());
-    let mut weights = [0.0; SLOTS_MAX * 256];
-    for slot in 0..slots {
-        for place in 0..places {
-            weights[slot * 256 + place] = departs(own, slot, place as Place);
-        }
+    let mut weights = [[0.0; 256]; SLOTS_MAX];
+    for (slot, weights) in weights.iter_mut().enumerate().take(slots) {
+        (0..places).for_each(|place| weights[place] = departs(own, slot, place as Place));
     }
     own.belief.transfer(|State { key, .. }, add| {
         add(key, 1.0 - trust + trust * UNSEEN);
         for slot in 0..slots {
-            let weight = weights[slot * 256 + usize::from(place(key, slot))];
+            let weight = weights[slot][usize::from(place(key, slot))];
             if weight > 0.0 {
                 add(with(key, slot, ELSEWHERE), trust * weight);
             }
@@ -304,7 +303,7 @@ fn arrival(own: &mut Tracker, trust: f64) {
     let ways: f64 = (0..own.home.rooms()).map(|room| own.home.way_out(room)).sum();
     let Tracker { belief, home, .. } = own;
     belief.transfer(|State { key, .. }, add| {
-        let is_empty = Occupied::of(key, slots).any == 0;
+        let is_empty = occupied(key, slots, |_| ()) == 0;
         add(key, 1.0 - trust + if is_empty { 0.0 } else { trust * NO_ARRIVAL });
         for slot in (0..slots).filter(|slot| room_of(place(key, *slot)).is_none()) {
             let weight = trust * if slot < unknown { UNSEEN } else { 1.0 };
@@ -339,15 +338,18 @@ fn sensor_reports(own: &mut Tracker, number: usize, on: Option<bool>) -> Option<
         (SensorKind::Door, Some(false)) if on => door_opens(own, &sensor),
         (SensorKind::Door, _) => {}
         (_, None) => own.belief.weigh(|key| {
-            let share = sensor.is_on(sensor.class(key, Occupied::of(key, slots)));
+            let share = sensor.is_on(sensor.class(key, slots));
             if on { share } else { 1.0 - share }
         }),
         (_, Some(was)) => {
             let robot = sensor.spec.room.is_some_and(|room| now_s < own.robot_until_s[room]);
             let flips = sensor.flips(was && !again, robot);
-            own.belief.weigh(|key| flips[sensor.class(key, Occupied::of(key, slots))]);
-            learn_flip(own, number, was && !again);
+            own.belief.weigh(|key| flips[sensor.class(key, slots)]);
         }
+    }
+    own.summarise();
+    if let (true, Some(was)) = (own.options.learns, before) {
+        learn_flip(own, number, was && !again);
     }
     let sensor = &mut own.sensors[number];
     (sensor.on, sensor.since_s) = (Some(on), now_s);
@@ -355,22 +357,18 @@ fn sensor_reports(own: &mut Tracker, number: usize, on: Option<bool>) -> Option<
 }
 
 fn learn_flip(own: &mut Tracker, number: usize, was: bool) {
-    if own.options.learns {
-        own.summarise();
-        if let Some(mut classes) = own.classes_of(number) {
-            // All residents were out: a noisy sensor explains the flip at least as well as an unknown person.
-            let rooms = own.home.rooms();
-            let out = |slot: usize| own.earlier.get(slot * (rooms + 1) + rooms).copied().unwrap_or(0.0);
-            let slots = own.unknown()..own.belief.slots();
-            if !was && !slots.is_empty() && slots.map(out).all(|p| p > SURELY) {
-                let kept = classes[1..].iter().sum::<f64>();
-                let spread = if kept > ALONE { ALONE / kept } else { 1.0 };
-                classes[1..].iter_mut().for_each(|own| *own *= spread);
-                classes[0] = 1.0 - classes[1..].iter().sum::<f64>();
-            }
-            own.sensors[number].learn_flip(was, classes);
-        }
+    let Some(mut classes) = own.classes_of(number) else { return };
+    // All residents were out: a noisy sensor explains the flip at least as well as an unknown person.
+    let rooms = own.home.rooms();
+    let out = |slot: usize| own.earlier.get(slot * (rooms + 1) + rooms).copied().unwrap_or(0.0);
+    let slots = own.unknown()..own.belief.slots();
+    if !was && !slots.is_empty() && slots.map(out).all(|p| p > SURELY) {
+        let kept = classes[1..].iter().sum::<f64>();
+        let spread = if kept > ALONE { ALONE / kept } else { 1.0 };
+        classes[1..].iter_mut().for_each(|own| *own *= spread);
+        classes[0] = 1.0 - classes[1..].iter().sum::<f64>();
     }
+    own.sensors[number].learn_flip(was, classes);
 }
 
 /// A door opens: a person passes through, at that person's rate; or it opens without a passage.
@@ -409,11 +407,15 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
     let mut shares = [0.0; SLOTS_MAX];
     let named = |who: Option<usize>| who.and_then(|person| own.slot(person));
     let mut spread = |weight: &dyn Fn(usize, Place) -> f64| {
-        for state in own.belief.states() {
-            let all: f64 = (0..slots).map(|slot| weight(slot, place(state.key, slot))).sum();
+        let mut weights = [[0.0; 256]; SLOTS_MAX];
+        for (slot, weights) in weights.iter_mut().enumerate().take(slots) {
+            (0..places(rooms)).for_each(|place| weights[place] = weight(slot, place as Place));
+        }
+        for State { key, weight, .. } in own.belief.states() {
+            let all: f64 = (0..slots).map(|slot| weights[slot][usize::from(place(*key, slot))]).sum();
             if all > 0.0 {
                 for (slot, share) in shares.iter_mut().enumerate().take(slots) {
-                    *share += state.weight * weight(slot, place(state.key, slot)) / all;
+                    *share += weight * weights[slot][usize::from(place(*key, slot))] / all;
                 }
             }
         }

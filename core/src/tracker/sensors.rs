@@ -11,7 +11,7 @@
 //! So a bed that stays on speaks for its person as long as it is on, a motion sensor's "off" says little, and an armed sensor's silence
 //! speaks against a person who walks there. All rates are learned online with a Gamma prior: weighted flips over weighted time.
 
-use super::belief::{Key, Occupied, place};
+use super::belief::{Key, place};
 pub use crate::narration::SensorKind;
 
 use super::motion::{PHONELESS, room_of, visibility};
@@ -165,15 +165,10 @@ impl Sensor {
         matches!(self.spec.kind, SensorKind::Motion | SensorKind::Presence | SensorKind::Camera)
     }
 
-    /// The class of occupancy in a state.
-    pub(super) fn class(&self, key: Key, occupied: Occupied) -> usize {
-        match (self.slot, self.spec.room) {
-            (Some(slot), room) => self.class_of(place(key, slot), room),
-            (None, Some(room)) => occupied.class(room),
-            (None, None) => {
-                usize::from(occupied.any != 0) + usize::from(occupied.seen != 0) + usize::from(occupied.moving != 0)
-            }
-        }
+    /// The class of occupancy in a state. A person's sensor sees only that person; other sensors see the most visible one.
+    pub(super) fn class(&self, key: Key, slots: usize) -> usize {
+        let of = |slot: usize| self.class_of(place(key, slot), self.spec.room);
+        self.slot.map_or_else(|| (0..slots).map(of).max().unwrap_or(EMPTY), of)
     }
 
     /// The class if only the person at this place counts.

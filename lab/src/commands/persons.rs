@@ -40,7 +40,7 @@ pub(super) struct PersonsArgs {
     /// A cat lives there and sets off motion sensors.
     #[arg(long)]
     pet: bool,
-    /// Most joint states that the filter keeps; a home of two or one keeps a quarter.
+    /// Most joint states that the filter keeps; a home of two or one keeps half.
     #[arg(long, value_name = "N", default_value_t = Options::default().states, value_parser = ranges::whole(2..=100_000_usize))]
     states: usize,
     /// Also run the filter that keeps every joint state, in homes of one or two: minutes for each day of two residents.
