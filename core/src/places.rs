@@ -207,8 +207,8 @@ impl PlaceMatcher {
             return true;
         }
         let is_verb = at > 0 && PRONOUNS.contains(&self.word(at - 1));
-        let is_deed = self.word(end).ends_with("ing");
-        at > 0 && !is_verb && !is_deed && !(0..at).any(announces)
+        let is_action = self.word(end).ends_with("ing");
+        at > 0 && !is_verb && !is_action && !(0..at).any(announces)
     }
 
     /// Whether the person comes from the place at this word.

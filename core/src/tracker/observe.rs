@@ -18,13 +18,13 @@ pub enum Observation<'a> {
     },
     /// A person did something here. `rooms` has the likelihood of the text in each room, up to a factor: one for the room that it names, or the
     /// language model's tempered scores. An empty list says that the person is in the house.
-    Deed {
+    Action {
         /// Who.
         who: Option<usize>,
         /// Likelihood per room.
         rooms: &'a [f64],
     },
-    /// As [`Observation::Deed`], by a text that names no place. `rooms` are the language model's: without a place in the text they fit several
+    /// As [`Observation::Action`], by a text that names no place. `rooms` are the language model's: without a place in the text they fit several
     /// rooms, and the more alike they are, the less they say that the filter lost the person.
     Text {
         /// Who.
@@ -76,7 +76,7 @@ pub enum Observation<'a> {
 /// Probability that the filter lost a person, given a report about that person by name. The person is then placed again.
 const LOST_PRESENT: f64 = 0.3;
 /// The same for an action.
-const LOST_DEED: f64 = 0.1;
+const LOST_ACTION: f64 = 0.1;
 /// Probability that a person left unseen, given a report by name that the person is out.
 const LEFT: f64 = 0.7;
 /// In states below this probability the person stays.
@@ -112,8 +112,8 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
     let has = |room: usize| room < rooms;
     match *observation {
         Observation::Sensor { sensor, on } => return sensor_reports(own, sensor, on),
-        Observation::Deed { who, rooms: list } => deed(own, who, list, 1.0, trust)?,
-        Observation::Text { who, rooms: list } => deed(own, who, list, 1.0 - evenness(list), trust)?,
+        Observation::Action { who, rooms: list } => action(own, who, list, 1.0, trust)?,
+        Observation::Text { who, rooms: list } => action(own, who, list, 1.0 - evenness(list), trust)?,
         Observation::Present { who: Some(person), room } => {
             let slot = own.slot(person)?;
             if room.is_some_and(|room| !has(room)) {
@@ -179,7 +179,7 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
     }
     own.summarise();
     Some(match observation {
-        Observation::Deed { .. } | Observation::Text { .. } | Observation::Lies { .. } => Cause::Deed,
+        Observation::Action { .. } | Observation::Text { .. } | Observation::Lies { .. } => Cause::Action,
         Observation::Present { .. } => Cause::Present,
         Observation::Empty { .. } => Cause::Empty,
         Observation::Count { .. } => Cause::Count,
@@ -231,7 +231,7 @@ fn relocate(own: &mut Tracker, slot: usize, lost: f64, places: &[(Place, f64)]) 
 
 /// An action: the likelihood of its text where the person is. Of an unknown person, where the most probable person is. `placed` is how surely the
 /// text places a person that the filter lost.
-fn deed(own: &mut Tracker, who: Option<usize>, list: &[f64], placed: f64, trust: f64) -> Option<()> {
+fn action(own: &mut Tracker, who: Option<usize>, list: &[f64], placed: f64, trust: f64) -> Option<()> {
     let rooms = own.home.rooms();
     let raw = |room: usize| list.get(room).copied().filter(|own| own.is_finite() && *own > 0.0).unwrap_or(0.0);
     let sum: f64 = (0..rooms).map(raw).sum();
@@ -245,10 +245,10 @@ fn deed(own: &mut Tracker, who: Option<usize>, list: &[f64], placed: f64, trust:
             let places = Places::of(rooms, |room| if share(room) > LEAST_SHARE { share(room) } else { 0.0 });
             if list.is_empty() {
                 // No place: the person is in.
-                relocate(own, slot, LOST_DEED * own.probability(person, None), places.list());
+                relocate(own, slot, LOST_ACTION * own.probability(person, None), places.list());
                 own.belief.weigh(|key| if room_of(place(key, slot)).is_none() { 1.0 - trust } else { trust });
             } else {
-                let lost = LOST_DEED * if placed < 1.0 { placed.max(own.probability(person, None)) } else { 1.0 };
+                let lost = LOST_ACTION * if placed < 1.0 { placed.max(own.probability(person, None)) } else { 1.0 };
                 relocate(own, slot, lost, places.list());
                 own.belief.weigh(|key| trust * at(place(key, slot)) + (1.0 - trust) * even);
             }
@@ -443,7 +443,7 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
                 });
             }
         }
-        Observation::Deed { who, rooms: list } | Observation::Text { who, rooms: list } => match named(who) {
+        Observation::Action { who, rooms: list } | Observation::Text { who, rooms: list } => match named(who) {
             Some(slot) => shares[slot] = 1.0,
             None => {
                 spread(&|_, place| room_of(place).map_or(0.0, |room| list.get(room).copied().unwrap_or(1.0).max(0.0)))

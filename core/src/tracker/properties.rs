@@ -42,7 +42,7 @@ fn play(tracker: &mut Tracker, now_s: &mut f64, (seconds, kind, who, room, on): 
     let scores: Vec<f64> = (0..6).map(|own| if own == room { 0.8 } else { 0.04 }).collect();
     let robot = [room];
     let observation = match kind {
-        0 => Observation::Deed { who, rooms: &scores },
+        0 => Observation::Action { who, rooms: &scores },
         1 => Observation::Present { who, room: on.then_some(room) },
         2 => Observation::Away { who },
         3 => Observation::Gone { who },

@@ -236,7 +236,7 @@ fn an_action_without_a_place_moves_the_person_by_the_models_scores() {
     play.put(MIRA, LIVING).put(JON, OFFICE).on(S::PresenceOffice).after(60.0);
     play.see(Observation::Sensor { sensor: S::PresenceLiving as usize, on: None }, 1.0);
     // "Mira is cooking."
-    play.see(Observation::Deed { who: Some(MIRA), rooms: &[0.03, 0.02, 0.03, 0.83, 0.06, 0.03] }, 0.9);
+    play.see(Observation::Action { who: Some(MIRA), rooms: &[0.03, 0.02, 0.03, 0.83, 0.06, 0.03] }, 0.9);
     play.expect(play.p(MIRA, KITCHEN) > 0.5 && play.p(JON, OFFICE) > 0.95);
 }
 
@@ -245,7 +245,7 @@ fn an_action_with_a_place_moves_its_person_only() {
     let mut play = Play::new();
     play.put(MIRA, LIVING).on(S::PresenceLiving).put(JON, OFFICE).on(S::PresenceOffice).after(300.0);
     play.on(S::MotionHall).after(4.0).on(S::MotionKitchen).after(4.0);
-    play.see(Observation::Deed { who: Some(JON), rooms: &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0] }, 0.95).after(5.0);
+    play.see(Observation::Action { who: Some(JON), rooms: &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0] }, 0.95).after(5.0);
     play.expect(play.p(JON, KITCHEN) > 0.9 && play.p(MIRA, LIVING) > 0.9);
 }
 
@@ -277,7 +277,7 @@ fn texts_without_a_place_move_their_person_if_they_fit_one_room_and_not_if_they_
 fn an_unknown_action_where_a_known_person_is_belongs_to_that_person() {
     let mut play = Play::new();
     play.put(MIRA, LIVING).on(S::PresenceLiving).put(JON, KITCHEN).on(S::MotionKitchen).after(60.0);
-    play.see(Observation::Deed { who: None, rooms: &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0] }, 0.9);
+    play.see(Observation::Action { who: None, rooms: &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0] }, 0.9);
     assert!(play.tracker.attribution(JON) > 0.8 && play.tracker.attribution(MIRA) < 0.1, "{}", play.all());
 }
 

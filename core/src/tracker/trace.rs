@@ -22,7 +22,7 @@ pub enum Cause {
         on: bool,
     },
     /// An action that a narrator reported.
-    Deed,
+    Action,
     /// A report that a person is present.
     Present,
     /// A report that a person left the house, for a while or for good.

@@ -330,7 +330,7 @@ impl Joint {
             Said::Sensor(sensor, on) => {
                 filter.see(report.at_s, &Observation::Sensor { sensor: *sensor, on: Some(*on) });
             }
-            Said::Deed(who, rooms) => filter.see(report.at_s, &Observation::Deed { who: *who, rooms }),
+            Said::Action(who, rooms) => filter.see(report.at_s, &Observation::Action { who: *who, rooms }),
             Said::Robot(rooms) => filter.see(report.at_s, &Observation::Robot { rooms }),
         }
     }
@@ -415,13 +415,13 @@ impl Believer for Assigned {
                 self.sensors[*sensor].2 = chosen;
                 Some(chosen)
             }
-            Said::Deed(who, rooms) => Some(who.unwrap_or_else(|| self.nearest(|room| rooms[room]))),
+            Said::Action(who, rooms) => Some(who.unwrap_or_else(|| self.nearest(|room| rooms[room]))),
             Said::Robot(_) => None,
         };
         for (number, filter) in self.filters.iter_mut().enumerate() {
             if person.is_none_or(|person| person == number) {
                 match &report.said {
-                    Said::Deed(_, rooms) => filter.see(report.at_s, &Observation::Deed { who: Some(0), rooms }),
+                    Said::Action(_, rooms) => filter.see(report.at_s, &Observation::Action { who: Some(0), rooms }),
                     _ => Joint::observe(filter, report),
                 }
             }
@@ -497,7 +497,7 @@ impl Believer for LastSensor {
                     _ => {}
                 }
             }
-            Said::Deed(who, rooms) => {
+            Said::Action(who, rooms) => {
                 let best = (0..rooms.len()).max_by(|a, b| rooms[*a].total_cmp(&rooms[*b]));
                 match (who, best) {
                     (Some(person), Some(room)) => self.at[*person] = Some(room),

@@ -21,7 +21,7 @@ pub enum Said {
     /// A sensor's state; the index is that in [`Plan::sensors`].
     Sensor(usize, bool),
     /// A caption: the person if it names one, and the likelihood of its text per room.
-    Deed(Option<usize>, Vec<f64>),
+    Action(Option<usize>, Vec<f64>),
     /// Rooms with the robot.
     Robot(Vec<usize>),
 }
@@ -308,7 +308,7 @@ fn captions(plan: &Plan, truth: &Truth, reports: &mut Vec<Report>, random: &mut 
                 list.iter_mut().for_each(|own| *own = random.random_range(0.02..0.15));
                 list[usize::from(here)] = random.random_range(0.2..0.9);
             }
-            reports.push(Report { at_s: second as f64 + random.random_range(1.0..6.0), said: Said::Deed(who, list) });
+            reports.push(Report { at_s: second as f64 + random.random_range(1.0..6.0), said: Said::Action(who, list) });
         }
     }
 }

@@ -178,7 +178,7 @@ impl Tracking {
             if forecaster.elsewhere(at_s, 0.0) > 0.5 {
                 own.tracker.observe(at_s, &Observation::Away { who: Some(who) }, 1.0);
             } else {
-                own.tracker.observe(at_s, &Observation::Deed { who: Some(who), rooms: &rooms }, 1.0);
+                own.tracker.observe(at_s, &Observation::Action { who: Some(who), rooms: &rooms }, 1.0);
                 if is_lying(*person) {
                     own.tracker.observe(at_s, &Observation::Lies { who }, 1.0);
                 }
@@ -301,7 +301,7 @@ impl Tracking {
                 self.had_robot = room.is_some_and(|room| self.tracker.has_robot(room));
                 Observation::Sensor { sensor, on: report.on }
             }
-            Event::Did(_) if said.is_named || said.rooms.is_empty() => Observation::Deed { who, rooms: said.rooms },
+            Event::Did(_) if said.is_named || said.rooms.is_empty() => Observation::Action { who, rooms: said.rooms },
             Event::Did(_) => Observation::Text { who, rooms: said.rooms },
             Event::Present(_) => Observation::Present { who, room: said.room },
             Event::Away => Observation::Away { who },

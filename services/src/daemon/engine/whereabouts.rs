@@ -70,7 +70,7 @@ impl<M: LanguageModel> Engine<M> {
             };
             let what = match own.cause {
                 Cause::Sensor { .. } => "sensor",
-                Cause::Deed => "did",
+                Cause::Action => "did",
                 Cause::Present => "present",
                 Cause::Away => "away",
                 Cause::Empty => "empty",
