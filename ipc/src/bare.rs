@@ -30,7 +30,7 @@ pub struct BareReceiver<M: Message> {
 }
 
 impl<M: Message> BareSender<M> {
-    /// Opens or makes `service`, with iceoryx2's own defaults.
+    /// Opens or makes `service`, with iceoryx2's own defaults but for the places of ended peers (`domain.rs`).
     ///
     /// # Errors
     ///
@@ -57,7 +57,7 @@ impl<M: Message> BareSender<M> {
 }
 
 impl<M: Message> BareReceiver<M> {
-    /// Opens or makes `service`, with iceoryx2's own defaults.
+    /// Opens or makes `service`, with iceoryx2's own defaults but for the places of ended peers (`domain.rs`).
     ///
     /// # Errors
     ///
