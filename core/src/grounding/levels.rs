@@ -52,7 +52,7 @@ pub fn partition_named<'a>(name: &str, map: &SemanticMap, partitions: &'a [Parti
     partitions.iter().find(|partition| partition.id == name).or_else(in_room)
 }
 
-/// The partitions of a map at a level, in their order in a [`Grounding`].
+/// The partitions of a map at a level, in their order in a [`super::Grounding`].
 #[must_use]
 pub fn partitions(map: &SemanticMap, level: PartitionLevel) -> Vec<Partition> {
     let rooms = rooms_as_partitions(map);
