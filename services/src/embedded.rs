@@ -124,7 +124,7 @@ pub fn release_model() {
     let whole = &MODEL[before..][..(MODEL.len() - before) / PAGE_BYTES * PAGE_BYTES];
     let start = whole.as_ptr().cast_mut().cast();
     #[expect(unsafe_code, reason = "the system call can change memory")]
-    // SAFETY: these pages belong to a constant in the program's file, and nobody wrote to them. So what is dropped is read from the file again.
+    // SAFETY: these pages hold a constant of the program's file and were never written. A later read loads them from the file again.
     let _released = unsafe { rustix::mm::madvise(start, whole.len(), rustix::mm::Advice::LinuxDontNeed) };
 }
 

@@ -60,7 +60,7 @@ fn send(decisions: &Publisher<DecisionV1>, decision: DecisionV1, number: u64) ->
     start_ns
 }
 
-/// zenoh alone: puts so many bytes, the first of which say when, for each byte of standard input.
+/// zenoh alone: for each byte of standard input it puts so many bytes, with the time in the first eight.
 fn put(port: &str, bytes: usize) {
     let near = open(port);
     let publisher = near.declare_publisher(ALONE).congestion_control(CongestionControl::Drop).express(true);
