@@ -416,8 +416,11 @@ impl Tracker {
                 *own *= silent[sensor.class_of(place as Place, sensor.spec.room)];
             }
         }
+        // A state divides by these products: they stay above zero, however many sensors a room has.
+        const MOST: f64 = 1e18;
+        self.room_silence.iter_mut().for_each(|own| *own = own.clamp(1.0 / MOST, MOST));
         for own in self.slot_silence.chunks_mut(places) {
-            own.iter_mut().zip(&self.room_silence).for_each(|(own, room)| *own *= room);
+            own.iter_mut().zip(&self.room_silence).for_each(|(own, room)| *own = (*own * room).clamp(1.0 / MOST, MOST));
         }
     }
 

@@ -184,3 +184,19 @@ fn the_bounded_belief_differs_by_less_than_a_hundredth_on_average_from_the_exact
         assert!(sum / count < 0.01 && worst < 0.05, "seed {seed}: mean {}, worst {worst}", sum / count);
     }
 }
+
+#[test]
+fn a_room_with_a_hundred_silent_sensors_resets_no_belief() {
+    let uses = [RoomUse::Bedroom, RoomUse::Hall, RoomUse::Bathroom];
+    let home = Home::new(&uses, &[(0, 1), (1, 2)], &[0.0, 1.0, 0.0]).unwrap();
+    let mut own = Tracker::new(home, Options::default(), 0.0);
+    (0..3).for_each(|_| assert!(own.add_person().is_ok()));
+    for _ in 0..100 {
+        let sensor = own.add_sensor(SensorSpec::of_room(SensorKind::Motion, 1)).unwrap();
+        own.observe(0.0, &Observation::Sensor { sensor, on: Some(false) }, 1.0);
+    }
+    let place = |person, room| Observation::Present { who: Some(person), room: Some(room) };
+    [(0, 1), (1, 1), (2, 0)].iter().for_each(|&(person, room)| own.observe(1.0, &place(person, room), 0.95));
+    own.advance(300.0);
+    assert!(own.probability(2, Some(0)) > 0.9);
+}
