@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
@@ -186,16 +187,19 @@ fn a_recording_has_nothing_of_who_was_forgotten_before_it_began() {
     assert!(explained.contains("they stand up.") && !explained.contains("bob"), "{explained}");
 }
 
-/// The messages of a ROS 2 recording by topic: type, creation time, bytes.
-fn of_ros2(bytes: &[u8]) -> std::collections::BTreeMap<String, Vec<(String, u64, Vec<u8>)>> {
-    let mut topics = std::collections::BTreeMap::<_, Vec<_>>::new();
+/// A message of a ROS 2 recording: type, creation time, number, bytes.
+type OfRos2 = (String, u64, u32, Vec<u8>);
+
+/// The messages of a ROS 2 recording by topic.
+fn of_ros2(bytes: &[u8]) -> BTreeMap<String, Vec<OfRos2>> {
+    let mut topics = BTreeMap::<_, Vec<OfRos2>>::new();
     for message in mcap::MessageStream::new(bytes).unwrap() {
         let message = message.unwrap();
         let schema = message.channel.schema.as_ref().unwrap();
         assert_eq!((schema.encoding.as_str(), message.channel.message_encoding.as_str()), ("ros2msg", "cdr"));
         assert!(message.channel.metadata["topic_type_hash"].starts_with("RIHS01_"));
         assert!(message.channel.metadata["offered_qos_profiles"].contains("reliability: 1"));
-        let entry = (schema.name.clone(), message.publish_time, message.data.to_vec());
+        let entry = (schema.name.clone(), message.publish_time, message.sequence, message.data.to_vec());
         topics.entry(message.channel.topic.clone()).or_default().push(entry);
     }
     topics
@@ -253,7 +257,7 @@ fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
         ]
     );
     let texts = |topic: &str| -> Vec<String> {
-        topics[topic].iter().map(|(_, _, bytes)| decode::<Text>(bytes).unwrap().data).collect()
+        topics[topic].iter().map(|(_, _, _, bytes)| decode::<Text>(bytes).unwrap().data).collect()
     };
     let narrated = ["Ada: They walk to the kitchen.", "Ada: They grab the mug.", "Ada opens the fridge."];
     assert_eq!(texts("/roomcast/narration"), narrated);
@@ -267,40 +271,45 @@ fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
     let decided: Vec<_> = decided.collect();
     assert_eq!(texts("/roomcast/decision"), decided);
     assert!(decided[0].starts_with("robot goes to ") && decided[0].contains(": "), "{decided:?}");
-    let classified = |topic: &str| -> Vec<Classification> {
+    let classified = |topic: &str| -> Vec<(u32, Classification)> {
         let messages = topics[topic].iter();
         messages
-            .map(|(_, made, bytes)| {
+            .map(|(_, made, number, bytes)| {
                 let told: Classification = decode(bytes).unwrap();
                 assert_eq!(told.header, Header::of_unix_ns(*made, "map"));
-                told
+                (*number, told)
             })
             .collect()
     };
-    // Each recorder drops repeated forecasts by its own clock, and may miss some on a busy machine.
+    // Each recorder drops repeated forecasts by its own clock, and may miss some on a busy machine. Those that both have are equal.
     for (end, ahead_s) in [("", 0.0), ("/in_60s", 60.0), ("/in_600s", 600.0)] {
-        let forecasts = own.messages.iter().filter_map(|(_, message)| match message {
-            Recorded::Forecast(forecast) => Some(of_rooms(forecast, ahead_s, Header::default()).results),
-            _ => None,
-        });
-        let forecasts: Vec<_> = forecasts.collect();
-        let told = classified(&format!("/roomcast/rooms{end}"));
-        assert!(told.iter().any(|told| forecasts.contains(&told.results)), "{end}: {told:?}");
-        let of_persons = own.messages.iter().filter_map(|(_, message)| match message {
-            Recorded::PersonForecasts(message) => Some(message),
-            _ => None,
-        });
-        let of_persons = of_persons.flat_map(|message| {
-            message.persons().iter().map(move |person| of_person(message, person, ahead_s, Header::default()).results)
-        });
-        let of_persons: Vec<_> = of_persons.collect();
-        let told = classified(&format!("/roomcast/person/ada{end}"));
-        assert!(told.iter().any(|told| of_persons.contains(&told.results)), "{end}: {told:?}");
+        let (mut of_rooms_by, mut of_ada_by) = (BTreeMap::new(), BTreeMap::new());
+        for (_, message) in &own.messages {
+            match message {
+                Recorded::Forecast(forecast) => {
+                    of_rooms_by.insert(forecast.sequence as u32, of_rooms(forecast, ahead_s, Header::default()));
+                }
+                Recorded::PersonForecasts(message) => {
+                    for person in message.persons() {
+                        of_ada_by
+                            .insert(message.sequence as u32, of_person(message, person, ahead_s, Header::default()));
+                    }
+                }
+                _ => {}
+            }
+        }
+        for (topic, expected) in [("rooms", of_rooms_by), ("person/ada", of_ada_by)] {
+            let told = classified(&format!("/roomcast/{topic}{end}"));
+            let both = told.iter().filter_map(|(number, told)| Some((told, expected.get(number)?)));
+            let both: Vec<_> = both.collect();
+            assert!(!both.is_empty(), "{topic}{end}: {told:?}");
+            both.iter().for_each(|(told, expected)| assert_eq!(told.results, expected.results, "{topic}{end}"));
+        }
     }
     let rooms = classified("/roomcast/rooms");
-    for (_, made, bytes) in &topics["/roomcast/markers"] {
+    for (_, made, _, bytes) in &topics["/roomcast/markers"] {
         let drawn: MarkerArray = decode(bytes).unwrap();
-        let of = rooms.iter().rfind(|rooms| rooms.header == Header::of_unix_ns(*made, "map")).unwrap();
+        let (_, of) = rooms.iter().rfind(|(_, rooms)| rooms.header == Header::of_unix_ns(*made, "map")).unwrap();
         let names = drawn.markers.iter().filter(|marker| !marker.text.is_empty());
         assert_eq!(names.count(), of.results.len());
     }

@@ -777,7 +777,7 @@ fn presences_and_beliefs_follow_the_sensors() {
          60 corridor on | 20 phone-jon on | ? Jon present | ? Mira away",
         // A phone leaves, and no sensor saw its person pass the corridor: at first it may be the phone, and after some silence he is surely out, until
         // he comes home.
-        "60 phone-jon off | ? Jon out < .6 | 3600 | ? Jon out > .95 | 1 | ? Jon away | ? Mira present | \
+        "60 phone-jon off | ? Jon out > .4 | ? Jon out < .6 | 3600 | ? Jon out > .95 | 1 | ? Jon away | ? Mira present | \
          1 Jon: They open the fridge. | ? Jon present",
         // An unnamed departure does not outweigh the bed and the phone of a resident.
         "60 living on | 10 Mira: They sit on the sofa. | 10 Jon: They lie on the bed. | 1 bed-jon on | 60: away | \
