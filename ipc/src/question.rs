@@ -196,7 +196,8 @@ impl QuestionPort {
         Ok(Self { client, factory, unanswered, service, files, waker })
     }
 
-    /// Asks, and waits for the answer. While none comes, it repeats the question every half second.
+    /// Asks, and waits for the answer. While none comes, it repeats the question: after half a second, and later after half of the time so
+    /// far. An answer to an earlier question is lost, so equal pauses would never end if the daemon needs longer.
     ///
     /// # Errors
     ///
@@ -223,7 +224,8 @@ impl QuestionPort {
             let pending = pending.map_err(|error| port(service, "send", &error))?;
             wake(self.waker.as_ref());
             let sent = Instant::now();
-            while sent.elapsed() < ASK_AGAIN && start.elapsed() < timeout {
+            let pause = ASK_AGAIN.max(start.elapsed() / 2);
+            while sent.elapsed() < pause && start.elapsed() < timeout {
                 if let Some(answer) = pending.receive().map_err(|error| port(service, "receive", &error))? {
                     let mut copy = copied("answer", answer.payload()).map_err(refused)?;
                     if let Some(name) = name_of(&copy) {

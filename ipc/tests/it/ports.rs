@@ -308,6 +308,29 @@ fn questions_in_words_are_answered_at_any_length_or_their_absence_is_said() {
     thread.join().unwrap();
 }
 
+/// Formerly, whoever asked a daemon that needed longer than half a second asked for ever.
+#[test]
+fn an_answer_that_takes_longer_than_the_pause_between_questions_arrives() {
+    let private = Private::new("slow");
+    let node = private.domain.open("both").unwrap();
+    let (server, client) = (node.answer_port(question::MOMENT).unwrap(), node.question_port(question::MOMENT).unwrap());
+    let is_told = std::sync::atomic::AtomicBool::new(false);
+    let slow = |_: Result<&str, _>| {
+        std::thread::sleep(Duration::from_millis(600));
+        "late".to_owned()
+    };
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !is_told.load(std::sync::atomic::Ordering::Relaxed) {
+                server.answer(slow).unwrap();
+            }
+        });
+        let answer = client.ask("{}", Duration::from_secs(60));
+        is_told.store(true, std::sync::atomic::Ordering::Relaxed);
+        assert_eq!(answer.unwrap(), "late");
+    });
+}
+
 /// A daemon allocates its shared memory at the start. Formerly, a full `/dev/shm` ended it by a signal at the next long answer.
 #[test]
 fn neither_a_long_answer_nor_many_items_take_more_shared_memory() {
