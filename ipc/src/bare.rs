@@ -30,7 +30,7 @@ pub struct BareReceiver<M: Message> {
 }
 
 impl<M: Message> BareSender<M> {
-    /// Opens or makes `service`, with iceoryx2's own defaults but for the places of ended peers (`domain.rs`).
+    /// Opens or makes `service`, with iceoryx2's own defaults.
     ///
     /// # Errors
     ///
@@ -57,7 +57,7 @@ impl<M: Message> BareSender<M> {
 }
 
 impl<M: Message> BareReceiver<M> {
-    /// Opens or makes `service`, with iceoryx2's own defaults but for the places of ended peers (`domain.rs`).
+    /// Opens or makes `service`, with iceoryx2's own defaults.
     ///
     /// # Errors
     ///
@@ -101,7 +101,8 @@ type Services<M> = (publish_subscribe::PortFactory<Flavour, M, ()>, event::PortF
 
 fn services<M: Message>(node: &Node, service: &'static str) -> Result<Services<M>, IpcError> {
     let name = ServiceName::new(service).map_err(|error| port(service, "open", &error))?;
-    let data = node.inner().service_builder(&name).publish_subscribe::<M>().open_or_create();
-    let events = node.inner().service_builder(&name).event().open_or_create();
+    let node = node.with_own_defaults()?;
+    let data = node.service_builder(&name).publish_subscribe::<M>().open_or_create();
+    let events = node.service_builder(&name).event().open_or_create();
     Ok((data.map_err(|error| port(service, "open", &error))?, events.map_err(|error| port(service, "open", &error))?))
 }
