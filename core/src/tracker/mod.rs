@@ -615,6 +615,9 @@ fn silence(rooms: &[f64], slots: &[f64], count: usize) -> impl Fn(Key) -> f64 {
 /// The classes of an empty room.
 const EMPTY_ROOM: [f64; CLASSES] = [1.0, 0.0, 0.0, 0.0];
 
+/// The house counts as empty above this probability.
+pub const SURELY_EMPTY: f64 = 0.9;
+
 /// Longest silence that is played in steps, in seconds.
 const LONGEST_S: f64 = 2.0 * 86_400.0;
 

@@ -14,7 +14,7 @@ use crate::home_simulation::plan::{Device, Plan};
 use crate::home_simulation::recorded::Recorded;
 use crate::home_simulation::{DAY_S, Life, Truth, days};
 use roomcast_core::tracker::{
-    Forecast, Observation, Options as TrackerOptions, SensorKind, SensorSpec, Tracker, TrackerError,
+    Forecast, Observation, Options as TrackerOptions, SURELY_EMPTY, SensorKind, SensorSpec, Tracker, TrackerError,
 };
 
 const HOME_DAYS: usize = 10;
@@ -80,7 +80,7 @@ pub struct Row {
     pub calibration_error: f64,
     /// Wrong with a probability above 0.9.
     pub wrong_and_sure: f64,
-    /// Minutes of 10 000 in which the house counts as empty (probability above one half) while a person is in.
+    /// Minutes of 10 000 in which the house counts as empty ([`SURELY_EMPTY`]) while a person is in.
     pub empty_while_in: f64,
     /// Mean of -ln P(true place) 15 minutes ahead; of the filter only.
     pub forecast_nats: Option<f64>,
@@ -287,7 +287,7 @@ fn score(plan: &Plan, truth: &Truth, second: usize, own: &dyn Believer, sums: &m
     }
     let is_in = everybody().any(|life| life.room[second].is_some());
     sums.minutes += 1.0;
-    sums.empty_wrong += f64::from(u8::from(is_in && own.empty() > 0.5));
+    sums.empty_wrong += f64::from(u8::from(is_in && own.empty() > SURELY_EMPTY));
 }
 
 /// A tracker that follows the hour.

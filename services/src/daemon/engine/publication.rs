@@ -10,6 +10,7 @@ use roomcast_core::pipeline::{Included, Pipeline};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::certified::Effort;
 use roomcast_core::semantic_map::SemanticMap;
+use roomcast_core::tracker::SURELY_EMPTY;
 use roomcast_ipc::raw::{
     ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, LEARNED_SHARE_S, MAX_HORIZONS, MAX_ITEMS,
     MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, NO_PARTITION, PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1,
@@ -21,9 +22,6 @@ use super::belief::Belief;
 use super::map_in_use::{NamedRooms, named_rooms};
 use super::{EngineError, HORIZONS_S, HomeHabits};
 use crate::daemon::persons::Persons;
-
-/// The house counts as empty above this probability.
-const SURELY_EMPTY: f64 = 0.9;
 
 #[derive(Debug)]
 pub(super) struct Publication {
