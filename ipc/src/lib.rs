@@ -138,6 +138,7 @@ pub mod question;
 mod robot;
 mod sensor;
 pub mod sequence;
+pub mod stop;
 pub mod text;
 mod unused;
 mod who;

@@ -82,17 +82,18 @@ fn ahead(seconds: f64) -> String {
     }
 }
 
-/// "from 40 observations: 30 after the last object, 12 after the last two, 0 after the last three"
-fn from(observations: &[f64; 4], place: &str) -> String {
-    let [all, one, two, three] = observations;
-    let all = count(all.round() as usize, "observation");
-    format!(
-        "from {all}{place}: {one:.0} after the last object, {two:.0} after the last two, {three:.0} after the last three"
-    )
+/// "from 40 observations: 30 after the last object, 12 after the last two, 0 after the last three". The forecast of a room has no count after the last
+/// object; recordings of earlier versions have one.
+fn from(observations: &[f64], place: &str) -> String {
+    let (all, after) = observations.split_first().unwrap_or((&0.0, &[]));
+    let names = ["object", "two", "three"];
+    let names = names.iter().skip(names.len().saturating_sub(after.len()));
+    let after: Vec<_> = after.iter().zip(names).map(|(own, name)| format!("{own:.0} after the last {name}")).collect();
+    format!("from {}{place}: {}", count(all.round() as usize, "observation"), after.join(", "))
 }
 
 /// The name of habit's part. Without an observation it is the prior: repetition, and the habits of other persons of the home.
-fn habit(observations: &[f64; 4]) -> &'static str {
+fn habit(observations: &[f64]) -> &'static str {
     if observations.iter().all(|count| *count < 0.5) { "what habit begins with" } else { "habit" }
 }
 
@@ -156,8 +157,9 @@ mod tests {
 
     #[test]
     fn a_text_says_where_a_probability_comes_from_and_from_how_much() {
-        let observations = [40.0, 12.0, 3.0, 0.0];
+        let observations = vec![40.0, 12.0, 3.0, 0.0];
         let shares = Shares { probability: 0.5, model: 0.25, habit: 0.5, things: None, hour: 0.25, observations };
+        let of_room = Shares { things: Some(0.25), observations: vec![9.0, 2.0, 1.0], ..shares.clone() };
         let line = HorizonLine {
             horizon_s: 900.0,
             shipped: 0.25,
@@ -169,24 +171,25 @@ mod tests {
         let learned = PersonHabits {
             person: PersonId(1),
             observations: 41.0,
-            things: vec![ThingReason { label: "mug".to_owned(), shares }],
+            things: vec![ThingReason { label: "mug".to_owned(), shares: shares.clone() }],
+            rooms: vec![RoomReason { room: "hall".to_owned(), shares: of_room }],
             forecast: vec![line],
             coverage: 0.9,
-            ..PersonHabits::default()
         };
         let text = learned.to_string();
         for part in [
             "from 41 observations",
             "mug 50 %: language model 25 %, habit 50 %, hour 25 %; from 40 observations: 12 after the last object, ",
+            "from 9 observations in this room: 2 after the last two, 1 after the last three\n",
             "In 15 min: forecast without habits 25 %",
             "; set for 90 % on the long run, 45 % by this forecast: kitchen, elsewhere",
         ] {
             assert!(text.contains(part), "{part}\n{text}");
         }
         // At the first observation nothing that follows is learned; the chance of a repetition is the initial habit.
-        let young = Shares { habit: 0.98, observations: [0.0; 4], ..shares };
-        let young =
-            PersonHabits { things: vec![ThingReason { label: "mug".to_owned(), shares: young }], ..learned.clone() };
+        let young = Shares { habit: 0.98, observations: vec![0.0; 4], ..shares };
+        let things = vec![ThingReason { label: "mug".to_owned(), shares: young }];
+        let young = PersonHabits { things, rooms: Vec::new(), ..learned.clone() };
         assert!(
             young.to_string().contains(", what habit begins with 98 %, ") && !young.to_string().contains(", habit ")
         );

@@ -21,7 +21,7 @@ pub mod clock;
 
 pub mod logging;
 
-pub mod stop;
+pub use roomcast_ipc::stop;
 
 pub mod notify;
 

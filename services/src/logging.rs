@@ -47,7 +47,7 @@ impl Drop for Log {
 }
 
 /// Writes the waiting lines and ends the log, for an end of the process without drops.
-pub(crate) fn finish() {
+pub fn finish() {
     WRITER.get().into_iter().for_each(Writer::finish);
 }
 

@@ -11,6 +11,7 @@ use serde::de::DeserializeOwned;
 use super::{Failure, stage};
 use crate::exit_code;
 use roomcast_services::config::Config;
+use roomcast_services::logging;
 use roomcast_services::stop::Stop;
 
 /// Environment variables that override the configuration, for every command that joins a domain.
@@ -144,7 +145,7 @@ pub fn interrupted(done: &str) -> Failure {
 ///
 /// If the system refuses the handlers.
 pub fn stop() -> Result<Stop, Failure> {
-    let stop = Stop::on_signals(exit_code::INTERRUPTED);
+    let stop = Stop::on_signals(exit_code::INTERRUPTED, logging::finish);
     stop.and_then(|stop| stage::leave_with_parent().map(|()| stop))
         .map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot handle signals: {error}")))
 }

@@ -7,6 +7,8 @@
 //! operator: watch     <- [router]
 //! ```
 
+pub use roomcast_ipc::stop;
+
 pub mod config;
 pub mod delay;
 pub mod delivery;
@@ -15,7 +17,6 @@ pub mod limiter;
 pub mod line;
 pub mod relay;
 pub mod spool;
-pub mod stop;
 pub mod wire;
 
 pub mod told;

@@ -16,6 +16,8 @@ use tracing_subscriber::EnvFilter;
 const CONFIG: u8 = 2;
 /// Exit code for any other fault.
 const FAILURE: u8 = 1;
+/// After a second request to stop.
+const SECOND_SIGNAL: u8 = 130;
 /// zenoh logs every attempt to connect; the link logs a failure once.
 const LOG: &str = "info,zenoh=off";
 
@@ -113,7 +115,7 @@ fn failure(error: impl Error + 'static) -> Failure {
 
 fn load(file: &File) -> Result<(Config, Stop), Failure> {
     let config = Config::load(&file.config).map_err(|error| (CONFIG, error.into()))?;
-    Ok((config, Stop::on_signals().map_err(failure)?))
+    Ok((config, Stop::on_signals(SECOND_SIGNAL, || ()).map_err(failure)?))
 }
 
 fn run(command: Command) -> Result<(), Failure> {

@@ -96,7 +96,7 @@ pub enum Place {
 }
 
 /// The parts of the probability that a thing comes next, or that it is in a room; the shares sum to one.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Shares {
     /// The probability.
     pub probability: f64,
@@ -109,8 +109,8 @@ pub struct Shares {
     pub things: Option<f64>,
     /// Share of the part of the day.
     pub hour: f64,
-    /// Decayed observations of this person: all (of a room: in this room), after the last thing, the last two and the last three.
-    pub observations: [f64; 4],
+    /// Decayed observations of this person: all, after the last thing, the last two and three. Of a room: in it, after the last two and three.
+    pub observations: Vec<f64>,
 }
 
 /// Weights of the forecasts of a later place; they sum to one.

@@ -65,12 +65,11 @@ pub(crate) static ROOMS: Plan = Plan {
         expert(0, "", [0.1, 0.15], Model, Given),
         expert(45, "room-habit", [0.06, 0.3], Habit, After(0, 0)).over(&[
             level(14, "room-after-room", &[Here], [0.5, 4.0]),
-            level(15, "room-after-1", &[Last], [0.5, 2.0]).by_times(),
             level(16, "room-after-2", &[Last, Second], [0.5, 0.5]).by_times(),
             level(17, "room-after-3", &[Last, Second, Third], [0.5, 0.5]).by_times(),
         ]),
         expert(47, "room-things", [0.06, 0.1], Things, Given),
-        expert(48, "room-hour", [0.06, 0.15], Hour, After(1, 2)).over(&[level(18, "", &[Here, Hours3], [0.5, 2.0])]),
+        expert(48, "room-hour", [0.06, 0.15], Hour, After(1, 1)).over(&[level(18, "", &[Here, Hours3], [0.5, 2.0])]),
         expert(49, "room-dwell", [0.06, 0.1], Habit, After(1, 1)).over(&DWELL),
     ],
     product: Some(expert(50, "room-product", [0.6, 0.0], Model, Given)),
@@ -181,7 +180,8 @@ impl Next {
         let probability = self.mixed.get(outcome).copied().filter(|p| *p > 0.0)?;
         let is_same = self.here == Some(outcome);
         let [model, habit, things, hour] = if is_same { self.same.explain(0) } else { self.other.explain(outcome) };
-        Some(Shares { probability, model, habit, things: Some(things), hour, observations: self.other.observations })
+        let (observations, things) = (self.other.observations.clone(), Some(things));
+        Some(Shares { probability, model, habit, things, hour, observations })
     }
 
     /// Learns from the outcome of the latest forecast, if there is one.

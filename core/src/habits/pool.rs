@@ -76,8 +76,8 @@ pub(crate) struct Pool {
     rows: Vec<f64>,
     /// Per row, the share of the first row in it.
     pub(crate) kept: Vec<f64>,
-    /// Own observations in the first contexts of expert 1.
-    pub(crate) observations: [f64; 4],
+    /// Own observations in the contexts of expert 1, at most four.
+    pub(crate) observations: Vec<f64>,
     pub(crate) width: usize,
     /// The mixture of the rows.
     pub(crate) mixed: Vec<f64>,
@@ -110,7 +110,7 @@ impl Pool {
             powers: factors.iter().map(power).collect(),
             rows: Vec::new(),
             kept: vec![0.0; plan.experts.len()],
-            observations: [0.0; 4],
+            observations: vec![0.0; plan.experts[1].levels.len().min(4)],
             width: 0,
             mixed: Vec::new(),
         }

@@ -533,10 +533,11 @@ fn counts_of_nothing_are_dropped_and_all_others_are_read() {
     let whole = stored.clone();
     let mut without = stored.rows[0].clone();
     (without.slot, without.counts) = (without.slot | 0x40, vec![(0, 0.0)]);
-    let unknown = StoredRow { kind: 30, ..stored.rows[0].clone() };
+    // The next room after the last thing, and a number that no level had.
+    let unknown = [15, 30].map(|kind| StoredRow { kind, ..stored.rows[0].clone() });
     let unused = (0..).find(|symbol| stored.rows[1].counts.iter().all(|(known, _)| known != symbol)).unwrap();
     stored.rows[1].counts.push((unused, 0.0));
-    stored.rows.extend([without, unknown]);
+    stored.rows.extend(unknown.into_iter().chain([without]));
     assert!(Habits::from_stored(HabitsOptions::default(), stored.clone()).unwrap().stored() == whole);
     stored.rows[1].counts[0].1 = -1.0;
     assert!(Habits::from_stored(HabitsOptions::default(), stored).is_err());

@@ -409,10 +409,12 @@ fn supervise(
 ) -> Result<(), DaemonError> {
     let Threads { scoring, standby, ahead } = threads;
     let (mut cleaned_ns, mut was_still) = (BootNs(0), false);
+    let (awake, woken) = bounded::<()>(0);
+    stop.then(move || drop(awake));
     while !stop.requested() {
         let name = select! {
             recv(ended) -> name => name.ok(),
-            recv(stop.woken()) -> _ => None,
+            recv(woken) -> _ => None,
             default(SUPERVISE) => None,
         };
         if let Some(name) = name

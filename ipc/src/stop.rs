@@ -1,37 +1,33 @@
 //! A clean stop on ctrl-C and on a termination signal. A further signal after a while ends the process at once.
 
-use std::convert::Infallible;
+use std::fmt;
 use std::io::{self, Read};
 use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use crossbeam::channel::{Receiver, Sender, bounded};
-
 use signal_hook::consts::{SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::flag;
 use signal_hook::low_level::{self, pipe};
 
-use crate::logging;
-
 /// Signals closer together are one request: `timeout` and terminals send theirs to a process and again to its group.
 const SAME_REQUEST: Duration = Duration::from_millis(500);
 
+type Act = Box<dyn FnOnce() + Send>;
+
 /// Whether a stop was requested.
-#[derive(Debug, Clone)]
+#[derive(Clone, Default)]
 pub struct Stop {
     asked: Arc<AtomicBool>,
     /// A signal ends the process at once.
     at_once: Arc<AtomicBool>,
-    /// `None` after a request: dropping the sender wakes the receivers of [`Stop::woken`].
-    awake: Arc<Mutex<Option<Sender<Infallible>>>>,
-    woken: Receiver<Infallible>,
+    acts: Arc<Mutex<Vec<Act>>>,
 }
 
-impl Default for Stop {
-    fn default() -> Self {
-        Self::new()
+impl fmt::Debug for Stop {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Stop").field(&self.asked).finish()
     }
 }
 
@@ -39,16 +35,16 @@ impl Stop {
     /// A stop that only [`Stop::request`] sets.
     #[must_use]
     pub fn new() -> Self {
-        let (awake, woken) = bounded(0);
-        Self { asked: Arc::default(), at_once: Arc::default(), awake: Arc::new(Mutex::new(Some(awake))), woken }
+        Self::default()
     }
 
-    /// A stop on SIGINT and SIGTERM. A further signal at least half a second later ends the process with the exit code `second_signal`.
+    /// A stop on SIGINT and SIGTERM. A further signal at least half a second later ends the process with the exit code `second_signal`. `finish` is
+    /// called before a signal ends the process during [`Stop::while_loading`].
     ///
     /// # Errors
     ///
     /// If the system rejects the handlers, or the thread that waits for further signals.
-    pub fn on_signals(second_signal: u8) -> io::Result<Self> {
+    pub fn on_signals(second_signal: u8, finish: fn()) -> io::Result<Self> {
         let stop = Self::new();
         // At a limit on file sizes, a write then fails as on a full disk. Without a handler the signal would end the process.
         flag::register(SIGXFSZ, Arc::default())?;
@@ -72,7 +68,7 @@ impl Stop {
                 }
                 asked.request();
                 if asked.at_once.load(Ordering::SeqCst) {
-                    logging::finish();
+                    finish();
                     low_level::exit(0);
                 }
                 if first.get_or_insert_with(Instant::now).elapsed() >= SAME_REQUEST {
@@ -87,7 +83,16 @@ impl Stop {
     /// Asks to stop.
     pub fn request(&self) {
         self.asked.store(true, Ordering::SeqCst);
-        drop(self.awake.lock().unwrap_or_else(PoisonError::into_inner).take());
+        let acts = std::mem::take(&mut *self.acts.lock().unwrap_or_else(PoisonError::into_inner));
+        acts.into_iter().for_each(|act| act());
+    }
+
+    /// Calls `act` at a request, or now if a stop was requested before: to wake a thread that waits for several things.
+    pub fn then(&self, act: impl FnOnce() + Send + 'static) {
+        self.acts.lock().unwrap_or_else(PoisonError::into_inner).push(Box::new(act));
+        if self.requested() {
+            self.request();
+        }
     }
 
     /// Runs `load`, which cannot be interrupted and has nothing to finish, such as loading a model: a signal ends the process at once, with exit
@@ -99,32 +104,47 @@ impl Stop {
         loaded
     }
 
-    /// A channel without messages that disconnects at a request: for a thread that waits for several things.
-    #[must_use]
-    pub fn woken(&self) -> &Receiver<Infallible> {
-        &self.woken
-    }
-
     /// Whether a stop was requested.
     #[must_use]
     pub fn requested(&self) -> bool {
         self.asked.load(Ordering::SeqCst)
     }
+
+    /// Requests a stop when it is dropped. If a thread ends in any way, even by a panic, the others end too.
+    #[must_use]
+    pub fn at_end(&self) -> AtEnd<'_> {
+        AtEnd(self)
+    }
+}
+
+/// The guard of [`Stop::at_end`].
+#[derive(Debug)]
+pub struct AtEnd<'a>(&'a Stop);
+
+impl Drop for AtEnd<'_> {
+    fn drop(&mut self) {
+        self.0.request();
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use crossbeam::channel::RecvTimeoutError;
+    use std::sync::mpsc::{RecvTimeoutError, channel};
 
     use super::*;
 
     #[test]
     fn who_waits_for_a_stop_is_woken() {
-        let stop = Stop::new();
-        assert_eq!(stop.woken().recv_timeout(Duration::ZERO), Err(RecvTimeoutError::Timeout));
+        let (stop, (awake, woken)) = (Stop::new(), channel::<()>());
+        let late = awake.clone();
+        stop.then(move || drop(awake));
+        assert_eq!(woken.recv_timeout(Duration::ZERO), Err(RecvTimeoutError::Timeout));
         let other = stop.clone();
-        std::thread::spawn(move || other.request());
-        assert_eq!(stop.woken().recv_timeout(Duration::from_secs(60)), Err(RecvTimeoutError::Disconnected));
-        assert!(stop.requested());
+        std::thread::spawn(move || drop(other.at_end()));
+        while !stop.requested() {
+            std::thread::yield_now();
+        }
+        stop.then(move || drop(late));
+        assert_eq!(woken.recv_timeout(Duration::from_secs(60)), Err(RecvTimeoutError::Disconnected));
     }
 }
