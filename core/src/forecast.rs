@@ -36,7 +36,7 @@
 //!
 //! Pure: time comes in with the calls.
 
-use crate::grounding::Grounding;
+use crate::grounding::{GroundedScores, Grounding, relative_to_largest};
 use crate::like_things::InUse;
 use crate::places::{Mention, evenness};
 
@@ -497,14 +497,25 @@ impl Forecaster {
     /// recently. `trust`, 0 to 1, is their weight; the rest is the present room. Scores of the same `number` are used once after each observation, so
     /// that after a restart, which restores the expectation and not the scores, the result is the same.
     pub fn expect_next(&mut self, grounding: &Grounding, label_log_prob_nats: &[f64], trust: f64, number: u64) {
+        let mut relative = Vec::new();
+        relative_to_largest(label_log_prob_nats, &mut relative);
+        self.expect_by_label(grounding, &relative, trust, number);
+    }
+
+    /// As [`Forecaster::expect_next`], from grounded scores.
+    pub fn expect_grounded(&mut self, grounding: &Grounding, scores: &GroundedScores, trust: f64, number: u64) {
+        self.expect_by_label(grounding, &scores.relative, trust, number);
+    }
+
+    fn expect_by_label(&mut self, grounding: &Grounding, by_label: &[f64], trust: f64, number: u64) {
         let shape = (grounding.weights.rows(), grounding.weights.columns());
-        let fits = shape == (label_log_prob_nats.len(), self.scores.len());
+        let fits = shape == (by_label.len(), self.scores.len());
         if !self.expects || !fits || self.expected == Some(number) {
             return;
         }
         self.expected = Some(number);
         let (belief, in_use) = (&self.belief, (&self.in_use, self.options.any_thing));
-        grounding.like_things.next_rooms(label_log_prob_nats, belief, in_use, &mut self.near, &mut self.scores);
+        grounding.like_things.next_rooms(by_label, belief, in_use, &mut self.near, &mut self.scores);
         self.scores.iter_mut().zip(belief).for_each(|(score, here)| *score = trust * *score + (1.0 - trust) * here);
     }
 

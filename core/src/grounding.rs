@@ -257,7 +257,7 @@ pub struct GroundedScores {
     /// maker").
     pub label_mass: f64,
     /// s_c over the largest s_c.
-    relative: Vec<f64>,
+    pub(crate) relative: Vec<f64>,
     sums: Vec<f64>,
 }
 
@@ -450,15 +450,10 @@ impl Grounding {
     /// If the scores are not one log-probability per label. Minus infinity is allowed.
     pub fn ground(&self, label_log_prob_nats: &[f64], out: &mut GroundedScores) -> Result<(), GroundingError> {
         self.check(label_log_prob_nats)?;
-        out.relative.resize(self.weights.rows(), 0.0);
         out.sums.resize(self.weights.columns(), 0.0);
 
         // Relative to the likeliest label nothing overflows; partitions that underflow are summed again below.
-        let largest = label_log_prob_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let reference = if largest.is_finite() { largest } else { 0.0 };
-        for (relative, log_prob_nats) in out.relative.iter_mut().zip(label_log_prob_nats) {
-            *relative = (log_prob_nats - reference).exp();
-        }
+        let reference = relative_to_largest(label_log_prob_nats, &mut out.relative);
         if self.idle_labels {
             // Labels without items are not part of the map.
             let idle = out.relative.iter_mut().zip(&self.scored_labels).filter(|(_, label)| label.count <= 0.0);
@@ -537,6 +532,15 @@ impl Grounding {
         let shares = column.zip(label_log_prob_nats).filter(|(weight, _)| *weight > 0.0);
         log_sum_exp_of(shares.map(|(weight, log_prob_nats)| log_prob_nats + weight.ln()))
     }
+}
+
+/// Fills `relative` with the labels' probabilities over the largest one. Returns the largest in nats, 0 if it is not finite.
+pub(crate) fn relative_to_largest(label_log_prob_nats: &[f64], relative: &mut Vec<f64>) -> f64 {
+    let largest = label_log_prob_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let reference = if largest.is_finite() { largest } else { 0.0 };
+    relative.clear();
+    relative.extend(label_log_prob_nats.iter().map(|log_prob_nats| (log_prob_nats - reference).exp()));
+    reference
 }
 
 fn normalise(log_scores_nats: &[f64], probabilities: &mut Vec<f64>) {

@@ -112,13 +112,13 @@ impl LikeThings {
         Self { shares, start, near }
     }
 
-    /// Probability per room that the next thing is there, from `ln s_c` per label in nats, the person's room probabilities `belief` and the things in
-    /// use; `any_thing` is a. If no label has a score in any room, all rooms are equally likely.
+    /// Probability per room that the next thing is there, from a value per label in the ratios of s_c, the person's room probabilities `belief` and the
+    /// things in use; `any_thing` is a. If no label has a score in any room, all rooms are equally likely.
     ///
     /// Allocates nothing once `near` and `out` have their size.
     pub(crate) fn next_rooms(
         &self,
-        label_log_prob_nats: &[f64],
+        by_label: &[f64],
         belief: &[f64],
         (in_use, any_thing): (&InUse, f64),
         near: &mut Vec<f64>,
@@ -128,11 +128,8 @@ impl LikeThings {
         self.near.transposed_product(belief, near);
         out.clear();
         out.resize(near.len(), 0.0);
-        let largest = label_log_prob_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let reference = if largest.is_finite() { largest } else { 0.0 };
-        for (label, (bounds, log_prob_nats)) in self.start.windows(2).zip(label_log_prob_nats).enumerate() {
+        for (label, (bounds, &p)) in self.start.windows(2).zip(by_label).enumerate() {
             let shares = &self.shares[bounds[0]..bounds[1]];
-            let p = (log_prob_nats - reference).exp();
             if let [(room, share)] = shares {
                 out[*room as usize] += p * share;
                 continue;
@@ -166,7 +163,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::grounding::{GroundedScores, Grounding, GroundingOptions};
+    use crate::grounding::{GroundedScores, Grounding, GroundingOptions, relative_to_largest};
     use crate::semantic_map::SemanticMap;
 
     fn apartment() -> Grounding {
@@ -176,7 +173,9 @@ mod tests {
 
     fn next(grounding: &Grounding, nats: &[f64], belief: &[f64], in_use: &InUse, any_thing: f64) -> Vec<f64> {
         let (mut near, mut out) = (Vec::new(), Vec::new());
-        grounding.like_things.next_rooms(nats, belief, (in_use, any_thing), &mut near, &mut out);
+        let mut by_label = Vec::new();
+        relative_to_largest(nats, &mut by_label);
+        grounding.like_things.next_rooms(&by_label, belief, (in_use, any_thing), &mut near, &mut out);
         out
     }
 
@@ -232,7 +231,7 @@ mod tests {
         let next = |middles_m: &[[f64; 3]], any_thing: f64| {
             let (mut near, mut out) = (Vec::new(), Vec::new());
             let things = LikeThings::new(&weights, middles_m);
-            things.next_rooms(&[-1.0], &here, (&InUse::default(), any_thing), &mut near, &mut out);
+            things.next_rooms(&[1.0], &here, (&InUse::default(), any_thing), &mut near, &mut out);
             out
         };
         let stairs = next(&[[0.0, 0.0, 1.2], [0.0, 0.0, 4.0], [6.0, 0.0, 1.3]], 0.5);

@@ -185,8 +185,9 @@ impl PlaceMatcher {
 
     fn place_of(&self, from: usize, to: usize) -> Option<Mention> {
         let (start, end) = (self.words[from].0, self.words[to - 1].1);
-        let plain = || self.place_of_name.get(self.plain[start..end].trim());
-        self.place_of_name.get(&self.lower[start..end]).or_else(plain).copied()
+        let words = &self.lower[start..end];
+        let plain = || words.contains('-').then(|| self.place_of_name.get(self.plain[start..end].trim()));
+        self.place_of_name.get(words).or_else(|| plain()?).copied()
     }
 
     /// The place of the longest name that begins at a word, and its end.

@@ -210,25 +210,25 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
-/// Whether a text contains these words in sequence, as whole words. Upper and lower case ASCII letters are equal.
+/// Whether a text contains any of these words, or sequences of words, as whole words. Upper and lower case ASCII letters are equal.
 ///
 /// ```
 /// use roomcast_core::text::has_words;
 ///
-/// assert!(has_words("ben gives ada the mug", "ada") && !has_words("an adaptor", "ada"));
-/// assert!(has_words("Ben gives Ada the mug", "ada"));
+/// assert!(has_words("ben gives ada the mug", &["ben", "ada"]) && !has_words("an adaptor", &["ada"]));
+/// assert!(has_words("Ben gives Ada the mug", &["ada"]));
 /// ```
 #[must_use]
-pub fn has_words(text: &str, words: &str) -> bool {
+pub fn has_words(text: &str, any: &[&str]) -> bool {
     let begins = text.char_indices().scan(false, |in_word, (at, c)| {
         let was_in_word = std::mem::replace(in_word, c.is_alphanumeric());
         Some((!was_in_word).then_some(at))
     });
-    let is_at = |at: usize| {
+    let is_at = |at: usize, words: &str| {
         let found = text.get(at..at + words.len()).is_some_and(|found| found.eq_ignore_ascii_case(words));
         found && !text[at + words.len()..].starts_with(char::is_alphanumeric)
     };
-    !words.is_empty() && begins.flatten().any(is_at)
+    begins.flatten().any(|at| any.iter().any(|words| !words.is_empty() && is_at(at, words)))
 }
 
 #[cfg(test)]

@@ -295,7 +295,7 @@ fn said_in(kind: Kind, text: &str, room: &str) -> Result<String, TextError> {
     if !matches!(kind, Kind::Sentence | Kind::Device) || device_state(text).is_some() {
         return reason("\"room\" goes with a sentence; an action, a device or a presence names its own room");
     }
-    if form_of(text).is_some() || has_words(&text.to_lowercase(), &room.to_lowercase()) {
+    if form_of(text).is_some() || has_words(&text.to_lowercase(), &[&room.to_lowercase()]) {
         return Ok(text.to_owned());
     }
     Ok(format!("{} in the {room}.", text.trim_end_matches(['.', '!', '?'])))

@@ -69,10 +69,12 @@ impl Sentence {
                 "the sentence holds no letter or digit: say what was observed, such as `They open the fridge.`",
             );
         }
-        let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
-        let mut letters = text.chars();
-        let mut sentence: String = letters.next().into_iter().flat_map(char::to_uppercase).collect();
+        let mut sentence = String::with_capacity(text.len() + 1);
+        let mut words = text.split_whitespace();
+        let mut letters = words.next().unwrap_or_default().chars();
+        sentence.extend(letters.next().into_iter().flat_map(char::to_uppercase));
         sentence.push_str(letters.as_str());
+        words.for_each(|word| sentence.extend([" ", word]));
         if !sentence.ends_with(['.', '!', '?']) {
             sentence.truncate(sentence.trim_end_matches([',', ';', ':', ' ']).len());
             sentence.push('.');

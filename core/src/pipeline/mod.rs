@@ -337,9 +337,9 @@ impl<M: LanguageModel> Pipeline<M> {
                 break;
             }
             let before = self.scores.stats;
-            let mut person = std::mem::replace(&mut self.persons[place], Person::new(PersonId(0)));
-            let asked = self.ask(&mut person, start, &mut timing);
-            self.persons[place] = person;
+            let mut persons = std::mem::take(&mut self.persons);
+            let asked = self.ask(&mut persons[place], start, &mut timing);
+            self.persons = persons;
             asked?;
             let stats = self.scores.stats;
             let given = (stats.prompt_tokens_decoded - before.prompt_tokens_decoded)

@@ -34,8 +34,12 @@ struct Prompt {
 impl Prompt {
     /// Keeps the leading sentences that `text` shares, except its last one. Returns their length in bytes and in tokens.
     fn keep(&mut self, text: &str) -> (usize, usize) {
-        let same = self.text.as_bytes().iter().zip(text.as_bytes()).take_while(|(a, b)| a == b).count();
-        let kept = self.ends.partition_point(|&(bytes, _)| bytes <= same && bytes < text.len());
+        let mut from = 0;
+        let is_same = |&&(end, _): &&(usize, usize)| {
+            let own = std::mem::replace(&mut from, end)..end;
+            end < text.len() && self.text.as_bytes()[own.clone()] == text.as_bytes()[own]
+        };
+        let kept = self.ends.iter().take_while(is_same).count();
         self.ends.truncate(kept);
         self.ends.last().copied().unwrap_or_default()
     }
@@ -78,7 +82,7 @@ impl Cutter {
         Ok(())
     }
 
-    /// Writes the tokens of narration within a prompt to `out`.
+    /// Writes the tokens of narration to `out`: within a prompt, or of a prompt that the next one does not continue.
     ///
     /// # Errors
     /// If the tokeniser fails.
@@ -86,11 +90,15 @@ impl Cutter {
         &mut self,
         model: &M,
         text: &str,
+        start: TextStart,
         out: &mut Vec<Token>,
     ) -> Result<(), ModelError> {
         out.clear();
         if !model.sentences_apart() {
-            return model.tokenise(text, TextStart::Within, out);
+            return model.tokenise(text, start, out);
+        }
+        if start == TextStart::Sequence {
+            model.tokenise("", start, out)?;
         }
         self.cut_from(0, model, text, out, |_| ())
     }

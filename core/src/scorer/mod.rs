@@ -423,7 +423,7 @@ impl<M: LanguageModel> Scorer<M> {
     /// # Errors
     /// If the tokeniser fails.
     pub fn sentence_tokens(&mut self, sentence: &str) -> Result<usize, ScoreError> {
-        self.cutter.cut_narration(&self.model, sentence, &mut self.prompt)?;
+        self.cutter.cut_narration(&self.model, sentence, TextStart::Within, &mut self.prompt)?;
         Ok(self.prompt.len())
     }
 
@@ -600,7 +600,7 @@ impl<M: LanguageModel> Scorer<M> {
     /// # Errors
     /// If the model fails.
     pub(crate) fn read_part(&mut self, prompt: &str, calls: usize) -> Result<bool, ScoreError> {
-        self.cut_prompt(prompt)?;
+        self.cutter.cut_narration(&self.model, prompt, TextStart::Sequence, &mut self.prompt)?;
         Ok(self.model.read_part(&self.prompt, calls)?)
     }
 

@@ -77,14 +77,9 @@ fn exp_not_positive(x: f32) -> f32 {
     let n = shifted - ROUND;
     // ln 2 in two parts, so that n times the first is exact.
     let r = (x - n * 0.693_359_4) - n * -2.121_944_4e-4;
-    let mut p = 1.0 / 5040.0;
-    p = p * r + 1.0 / 720.0;
-    p = p * r + 1.0 / 120.0;
-    p = p * r + 1.0 / 24.0;
-    p = p * r + 1.0 / 6.0;
-    p = p * r + 0.5;
-    p = p * r + 1.0;
-    p = p * r + 1.0;
+    // Without the instruction, `mul_add` is a slow function.
+    let fused = |p: f32, term: f32| if cfg!(target_feature = "fma") { p.mul_add(r, term) } else { p * r + term };
+    let p = [1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0].into_iter().fold(1.0 / 5040.0, fused);
     // The low bits of `shifted` are n, in -126..=0; as an exponent it is biased by 127. An overflow check here would prevent vectorisation.
     p * f32::from_bits((shifted.to_bits() << 23).wrapping_add(127 << 23))
 }

@@ -36,7 +36,7 @@ fn a_prompt_cut_by_sentences_is_the_prompt_cut_whole() {
         }
         whole.clear();
         model.tokenise(&prompt, TextStart::Within, &mut whole).unwrap();
-        cutter.borrow_mut().cut_narration(&model, &prompt, &mut cut).unwrap();
+        cutter.borrow_mut().cut_narration(&model, &prompt, TextStart::Within, &mut cut).unwrap();
         prop_assert_eq!(&cut, &whole, "{:?}", prompt);
         Ok(())
     });

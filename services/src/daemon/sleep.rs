@@ -12,8 +12,7 @@ pub(super) fn is_bed(label: &str) -> bool {
 pub(super) fn sleeps(text: &str) -> Option<bool> {
     const SLEEPS: [&str; 8] = ["sleep", "sleeps", "asleep", "nap", "naps", "doze", "dozes", "slept"];
     const WAKES: [&str; 8] = ["wake", "wakes", "woke", "awake", "get up", "gets up", "stand up", "stands up"];
-    let says = |words: &[&str]| words.iter().any(|words| has_words(text, words));
-    if says(&WAKES) { Some(false) } else { says(&SLEEPS).then_some(true) }
+    if has_words(text, &WAKES) { Some(false) } else { has_words(text, &SLEEPS).then_some(true) }
 }
 
 /// Whether a person can do this without getting up.
@@ -24,7 +23,7 @@ pub(super) fn may_be_done_lying(text: &str) -> bool {
         "mops", "dress", "dresses", "put on", "puts on", "shower", "showers", "enter", "enters", "leave", "leaves",
         "climb", "climbs", "fold", "folds", "make", "makes", "pour", "pours",
     ];
-    !UPRIGHT.iter().any(|words| has_words(text, words))
+    !has_words(text, &UPRIGHT)
 }
 
 /// The actions in a text, in order: "lies down in bed" and "turns off the lamp".

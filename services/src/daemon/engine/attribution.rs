@@ -6,6 +6,7 @@ use roomcast_core::grounding::Grounding;
 use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::forms::{self, COUNT_MAX, Subject};
 use roomcast_core::narration::{Event, Observation, Sentence, device_state, person_number};
+use smallvec::SmallVec;
 
 use super::super::person_question::{By, UNDERSTOOD_MAX, UnderstoodLine, UnderstoodPerson};
 use super::super::persons::Persons;
@@ -71,7 +72,7 @@ pub(super) struct Understood {
     pub(super) id: EventId,
     /// The event; a presence form counts as presence.
     pub(super) event: Event,
-    pub(super) persons: Vec<PersonId>,
+    pub(super) persons: SmallVec<[PersonId; 4]>,
     pub(super) by: By,
     /// Why it changed no belief.
     pub(super) reason: Option<Reason>,

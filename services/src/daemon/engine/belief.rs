@@ -113,7 +113,8 @@ impl Belief {
                     home.turned(seen.person, seen.at_ns, turned_to(mention), own);
                     let Some(known) = attribution.persons.get_mut(seen.person) else { continue };
                     for clause in clauses(text.as_str()) {
-                        let found = map.matcher.last(clause);
+                        let is_all = clause.len() == text.as_str().len();
+                        let found = if is_all { mention } else { map.matcher.last(clause) };
                         let row = |found: &Mention| grounding.weights().row(found.label);
                         let stays = |found: &Mention| {
                             let likeliest = (0..rooms).max_by(|a, b| near[*a].total_cmp(&near[*b]));
@@ -165,7 +166,7 @@ impl Belief {
     pub(super) fn expect<M: LanguageModel>(&mut self, pipeline: &Pipeline<M>) {
         for own in pipeline.persons().filter(|own| own.at_home && own.is_current) {
             if let Some(followed) = self.followed.get_mut(&own.person) {
-                followed.expect_next(pipeline.grounding(), own.label_log_prob_nats, own.trust, own.number);
+                followed.expect_grounded(pipeline.grounding(), own.grounded, own.trust, own.number);
             }
         }
         self.seen.shrink_to(SEEN_KEPT);

@@ -12,6 +12,7 @@ use super::{Engine, seconds};
 use roomcast_core::ids::PersonId;
 use roomcast_core::narration::{Event, Observation, Presence, Quota, SensorKind};
 use roomcast_core::scorer::LanguageModel;
+use smallvec::SmallVec;
 
 impl<M: LanguageModel> Engine<M> {
     /// Takes in an event and gives the part of each person to `enter`. Gives whether the event reads the same in any company, and otherwise its
@@ -26,7 +27,7 @@ impl<M: LanguageModel> Engine<M> {
     ) -> (bool, Vec<Move>) {
         let mut moves = self.records.no_moves();
         let (id, event, by) = (observation.id(), observation.event.clone(), By::Key);
-        let mut understood = Understood { id, event, persons: Vec::new(), by, reason: None };
+        let mut understood = Understood { id, event, persons: SmallVec::new(), by, reason: None };
         let (who, event) =
             match self.attribution.read((&self.map, self.scoring.pipeline.grounding()), &observation, reporter) {
                 Ok(read) => read,

@@ -58,10 +58,12 @@ impl Publication {
             reached: reached::EXACT,
             ..Default::default()
         };
+        let mut person_scores: Box<PersonScoresV1> = Box::default();
+        person_scores.id = room.map(|room| room.id);
         Ok(Self {
             snapshot,
             forecast: Box::default(),
-            person_scores: Box::default(),
+            person_scores,
             person_forecasts: Box::default(),
             house: Independent::default(),
             newest_sources: Vec::new(),
@@ -74,6 +76,7 @@ impl Publication {
     pub(super) fn change_map(&mut self, fingerprint: [u8; 32], (room, room_count): NamedRooms) {
         self.snapshot.map_fingerprint = fingerprint;
         (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
+        self.person_scores.id = room.map(|room| room.id);
         *self.forecast = ForecastV1::default();
     }
 
@@ -149,10 +152,13 @@ impl Publication {
             others_free.iter_mut().zip(own.at(now_s, 0.0)).for_each(|(free, p)| *free *= 1.0 - p);
         }
         self.house.update(rooms.len(), followed, home, now_ns);
-        let Independent { free, elsewhere, common } = &self.house;
+        let Independent { free, elsewhere } = &self.house;
         let free = |place: usize, room: usize| free[place * rooms.len() + room];
         for place in 0..MAX_HORIZONS {
-            let joint = |of: f64, now: f64, own: f64| (own + common[place] * (of - now)).clamp(0.0, 1.0);
+            // The part of the persons' dependence now that remains: the joint belief differs from the product of the persons' beliefs by it.
+            let stays = |own: &Forecaster| own.stays(now_s, f64::from(HORIZONS_S[place]));
+            let common: f64 = if tracker.is_some() { followed.values().map(stays).product() } else { 0.0 };
+            let joint = |of: f64, now: f64, own: f64| (own + common * (of - now)).clamp(0.0, 1.0);
             for (room, row) in message.probability.iter_mut().enumerate().take(rooms.len()) {
                 let occupied = match tracker {
                     _ if not_known => 1.0 / rooms.len() as f64,
@@ -384,9 +390,6 @@ impl Publication {
         (message.computed_ns, message.map_fingerprint) = (snapshot.computed_ns, snapshot.map_fingerprint);
         message.persons = snapshot.persons;
         message.room_count = snapshot.room_count;
-        for (id, room) in message.id.iter_mut().zip(&snapshot.room) {
-            *id = room.id;
-        }
         let mut places = message.person.iter_mut();
         let mut count = 0;
         for &(heard_ns, person) in &self.newest_persons {
@@ -440,8 +443,6 @@ struct Independent {
     free: Vec<f64>,
     /// The probability that all persons are elsewhere.
     elsewhere: [f64; MAX_HORIZONS],
-    /// The part of the persons' dependence now that remains: the joint belief differs from the product of the persons' beliefs by it.
-    common: [f64; MAX_HORIZONS],
 }
 
 impl Independent {
@@ -452,14 +453,13 @@ impl Independent {
         home: &mut HomeHabits,
         now_ns: BootNs,
     ) {
-        let (Self { free, elsewhere, common }, now_s) = (self, now_ns.seconds());
+        let (Self { free, elsewhere }, now_s) = (self, now_ns.seconds());
         free.clear();
         free.resize(rooms * MAX_HORIZONS, 1.0);
-        (*elsewhere, *common) = ([1.0; MAX_HORIZONS], [1.0; MAX_HORIZONS]);
+        *elsewhere = [1.0; MAX_HORIZONS];
         for (person, own) in followed {
             let by_habit = home.forecast(*person, own, now_ns, &HORIZONS_S);
             for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
-                common[place] *= own.stays(now_s, f64::from(*horizon_s));
                 let free = free[place * rooms..][..rooms].iter_mut();
                 if let Some((gone, known)) = by_habit.and_then(|rows| row(rows, place)?.split_last()) {
                     free.zip(known).for_each(|(free, p)| *free *= 1.0 - p);

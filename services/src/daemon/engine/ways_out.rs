@@ -7,7 +7,7 @@ use roomcast_core::text::has_words;
 pub(super) fn ways_out(grounding: &Grounding) -> Vec<f64> {
     const HALLS: [&str; 8] = ["hall", "hallway", "entrance", "entry", "entryway", "foyer", "vestibule", "lobby"];
     const DOORS: [&str; 5] = ["front door", "entrance door", "main door", "house door", "apartment door"];
-    let is_hall = |text: &str| HALLS.iter().any(|words| has_words(text, words));
+    let is_hall = |text: &str| has_words(text, &HALLS);
     let lower = |text: &str| text.to_lowercase();
     let mut near: Vec<f64> =
         grounding.partitions().iter().map(|own| if is_hall(&lower(&own.label)) { 1.0 } else { 0.0 }).collect();
@@ -15,7 +15,7 @@ pub(super) fn ways_out(grounding: &Grounding) -> Vec<f64> {
         let text = lower(&own.text);
         // The only door of a map is the front door.
         let is_only = || text == "door" && own.items.len() == 1;
-        if DOORS.iter().any(|words| has_words(&text, words)) || is_only() {
+        if has_words(&text, &DOORS) || is_only() {
             for (near, share) in near.iter_mut().zip(grounding.weights().row(label).iter()) {
                 *near = near.max(*share);
             }
