@@ -3,9 +3,10 @@
 
 use std::time::{Duration, Instant};
 
+use iceoryx2::config::Config;
 use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
-use iceoryx2::prelude::ServiceName;
+use iceoryx2::prelude::{NodeBuilder, ServiceName, SignalHandlingMode};
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
 use crate::IpcError;
@@ -101,7 +102,11 @@ type Services<M> = (publish_subscribe::PortFactory<Flavour, M, ()>, event::PortF
 
 fn services<M: Message>(node: &Node, service: &'static str) -> Result<Services<M>, IpcError> {
     let name = ServiceName::new(service).map_err(|error| port(service, "open", &error))?;
-    let node = node.with_own_defaults()?;
+    let mut config = node.config().clone();
+    config.defaults = Config::default().defaults;
+    let node =
+        NodeBuilder::new().config(&config).signal_handling_mode(SignalHandlingMode::Disabled).create::<Flavour>();
+    let node = node.map_err(|error| port(service, "open", &error))?;
     let data = node.service_builder(&name).publish_subscribe::<M>().open_or_create();
     let events = node.service_builder(&name).event().open_or_create();
     Ok((data.map_err(|error| port(service, "open", &error))?, events.map_err(|error| port(service, "open", &error))?))

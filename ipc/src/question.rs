@@ -69,6 +69,8 @@ const FILE_END: &str = ".answer";
 const CLIENTS: usize = 8;
 /// The client repeats the question after this time: a daemon that started in between has not received it.
 const ASK_AGAIN: Duration = Duration::from_millis(500);
+/// A daemon that has a question and is silent for so long may be dead.
+const LATE: Duration = Duration::from_secs(5);
 const POLL: Duration = Duration::from_millis(2);
 
 type Factory = request_response::PortFactory<Flavour, [u8], (), [u8], ()>;
@@ -196,8 +198,9 @@ impl QuestionPort {
         Ok(Self { client, factory, unanswered, service, files, waker })
     }
 
-    /// Asks, and waits for the answer. While none comes, it repeats the question: after half a second, and later after half of the time so
-    /// far. An answer to an earlier question is lost, so equal pauses would never end if the daemon needs longer.
+    /// Asks, and waits for the answer. A question that no daemon has is repeated every half second. A daemon that has it may need longer; an
+    /// answer to an earlier question would be lost. A killed daemon seems to have it for some time, so it is repeated after five seconds, too,
+    /// and later after as long as all pauses before.
     ///
     /// # Errors
     ///
@@ -224,8 +227,10 @@ impl QuestionPort {
             let pending = pending.map_err(|error| port(service, "send", &error))?;
             wake(self.waker.as_ref());
             let sent = Instant::now();
-            let pause = ASK_AGAIN.max(start.elapsed() / 2);
-            while sent.elapsed() < pause && start.elapsed() < timeout {
+            let late = LATE.max(start.elapsed());
+            loop {
+                // Looked up before the answer, after which the daemon no longer has the question.
+                let pause = if pending.is_connected() { late } else { ASK_AGAIN };
                 if let Some(answer) = pending.receive().map_err(|error| port(service, "receive", &error))? {
                     let mut copy = copied("answer", answer.payload()).map_err(refused)?;
                     if let Some(name) = name_of(&copy) {
@@ -250,6 +255,9 @@ impl QuestionPort {
                         Some(reason) => Err(IpcError::NotGiven { service, reason: reason.to_owned() }),
                         None => Ok(answer),
                     };
+                }
+                if sent.elapsed() >= pause || start.elapsed() >= timeout {
+                    break;
                 }
                 std::thread::sleep(POLL);
             }

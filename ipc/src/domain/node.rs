@@ -8,7 +8,7 @@ use std::{fs, io};
 
 use iceoryx2::config::Config;
 use iceoryx2::node::NodeView;
-use iceoryx2::prelude::{CallbackProgression, NodeBuilder, NodeState, SignalHandlingMode};
+use iceoryx2::prelude::{CallbackProgression, NodeState};
 use iceoryx2::service::internal::ServiceInternal;
 use iceoryx2::service::service_hash::ServiceHash;
 use rustix::io::Errno;
@@ -192,14 +192,6 @@ impl Node {
 
     pub(crate) fn config(&self) -> &Config {
         &self.config
-    }
-
-    /// One more node of this domain, with iceoryx2's own settings of ports.
-    pub(crate) fn with_own_defaults(&self) -> Result<iceoryx2::node::Node<Flavour>, IpcError> {
-        let mut config = self.config.clone();
-        config.defaults = Config::default().defaults;
-        let node = NodeBuilder::new().config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
-        node.create::<Flavour>().map_err(|error| IpcError::Join { root: self.domain.root.clone(), cause: error.into() })
     }
 
     pub(crate) fn try_once<T>(&self, open: impl FnOnce() -> Result<T, OpenFailure>) -> Result<Option<T>, IpcError> {
