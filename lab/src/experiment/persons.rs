@@ -287,7 +287,7 @@ fn score(plan: &Plan, truth: &Truth, second: usize, own: &dyn Believer, sums: &m
     }
     let is_in = everybody().any(|life| life.room[second].is_some());
     sums.minutes += 1.0;
-    sums.empty_wrong += f64::from(u8::from(is_in && own.empty() > SURELY_EMPTY));
+    sums.empty_wrong += f64::from(u8::from(is_in && own.empty() >= SURELY_EMPTY));
 }
 
 /// A tracker that follows the hour.
