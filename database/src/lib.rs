@@ -7,6 +7,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use roomcast_ipc::own_file::require_own;
 use rusqlite::config::DbConfig;
@@ -20,6 +21,8 @@ pub const WAL_BYTES_MAX: u64 = 1 << 20;
 /// Most damaged databases that are kept.
 const ASIDE_MAX: usize = 16;
 const PAGE_BYTES: u32 = 2048;
+/// A file locked for longer is another process's. Until a child of this process runs its own program, it has the locks of this one.
+const LOCKED_FOR: Duration = Duration::from_millis(250);
 
 /// The content of a database, in addition to the table `meta` of keys and values.
 #[derive(Debug, Clone, Copy)]
@@ -223,7 +226,7 @@ impl Database {
         };
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
-        connection.busy_timeout(std::time::Duration::from_millis(200))?;
+        connection.busy_timeout(Duration::from_millis(200))?;
         connection.set_prepared_statement_cache_capacity(64);
         if matches!(self.place, Place::Simulated(_)) {
             // The simulated VFS has no shared memory.
@@ -432,7 +435,7 @@ impl Database {
 pub fn look(path: &Path) -> rusqlite::Result<Connection> {
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let connection = Connection::open_with_flags(path, flags)?;
-    connection.busy_timeout(std::time::Duration::from_secs(5))?;
+    connection.busy_timeout(Duration::from_secs(5))?;
     Ok(connection)
 }
 
@@ -538,10 +541,16 @@ fn lock(path: &Path) -> Result<File, DatabaseError> {
         require_own(&path).map_err(|source| DatabaseError::Refused { path, source })?;
     }
     let file = own_file(path).map_err(failed(path, "open"))?;
-    rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).map_err(|error| match error {
-        rustix::io::Errno::WOULDBLOCK => DatabaseError::Locked { path: path.to_owned() },
-        error => failed(path, "lock")(error.into()),
-    })?;
+    let start = Instant::now();
+    while let Err(error) = rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
+        if error != rustix::io::Errno::WOULDBLOCK {
+            return Err(failed(path, "lock")(error.into()));
+        }
+        if start.elapsed() >= LOCKED_FOR {
+            return Err(DatabaseError::Locked { path: path.to_owned() });
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
     // Others could read a copy, as a backup makes one. A process that does not own the file cannot change that.
     for suffix in ["", "-wal", "-shm"] {
         let path = with_suffix(path, suffix);

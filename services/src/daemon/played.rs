@@ -10,11 +10,9 @@ use roomcast_ipc::raw::{DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, 
 use roomcast_llama::LlamaModel;
 
 use super::{
-    Cycle, Entry, Intake, Journal, JournalError, Loaded, PersonsFile, SentenceCost, Taken, Zone, journal,
-    journal_options, load,
+    Cycle, Entry, Intake, Journal, Loaded, PersonsFile, SentenceCost, Taken, Zone, journal, journal_options, load,
 };
 use crate::config::Config;
-use crate::eventually::eventually;
 use crate::fleet_day::{self, Outcome, ROBOTS, Track};
 use crate::household::{self, House, Robot, live};
 use crate::narrator::{Account, Who, line_item};
@@ -34,11 +32,7 @@ struct Daemon {
 impl Daemon {
     fn start(config: &Config, now_ns: BootNs, now_unix_ns: UnixNs) -> Self {
         let options = journal_options(&config.daemon).unwrap();
-        // A process that another test starts inherits the lock of an open database, for a moment.
-        let (journal, mut recovered) = eventually("the database is free", || match Journal::open(&options) {
-            Err(JournalError::Locked { .. }) => None,
-            opened => Some(opened.unwrap()),
-        });
+        let (journal, mut recovered) = Journal::open(&options).unwrap();
         let names = PersonsFile::new(std::mem::take(&mut recovered.persons), Some(journal.handle()));
         let Loaded { engine, token_counter, .. } =
             load(config, names, recovered.habits.take(), setup::configured_model, Arc::new(|| true)).unwrap();
