@@ -9,7 +9,8 @@
 //! The session is persistent: the broker keeps messages while this process or the connection is away, and it decides their order. A message
 //! is acknowledged when its lines are settled: confirmed by the daemon, or rejected for good ([`listen_until_settled`]). So the broker
 //! keeps every message that this process could lose, however it ends. After a kill, the next process repeats confirmed messages without an
-//! acknowledgement. They are at most [`MESSAGES_AHEAD_MAX`], since later messages wait for the acknowledgements. MQTT 5 gives the broker
+//! acknowledgement. They are at most [`MESSAGES_AHEAD_MAX`], since later messages wait for the acknowledgements, and
+//! those whose acknowledgement the broker had not read. MQTT 5 gives the broker
 //! the number of messages that it may send ahead, and their largest size. mosquitto 2.0.11 sends more, and those wait here. A silent
 //! connection is probed, and renewed if the broker does not answer.
 

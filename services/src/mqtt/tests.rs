@@ -894,7 +894,10 @@ fn who_is_killed_in_a_backlog_says_few_messages_twice() {
         });
         let steps: Vec<u64> = steps.collect();
         let Some(first) = steps.first().copied() else { return next };
-        assert!(first <= next && next - first <= u64::from(MESSAGES_AHEAD_MAX), "{next} is next, and {first} is said");
+        // Beside those without an acknowledgement, the broker repeats those whose acknowledgement it had not read: the connection ends with
+        // unread messages, so the system discards what the broker has not read either.
+        let repeated_max = 4 * u64::from(MESSAGES_AHEAD_MAX);
+        assert!(first <= next && next - first <= repeated_max, "{next} is next, and {first} is said");
         assert!(steps.iter().copied().eq(first..first + steps.len() as u64), "{steps:?}");
         (twice, lives) = (twice + next - first, lives + 1);
         next = first + steps.len() as u64;
