@@ -1,4 +1,5 @@
-//! One published snapshot with all data behind its scores, as the daemon answers it and recordings store it.
+//! One published snapshot with all data behind its scores, as the daemon answers it and recordings store it. Recordings have the scores as
+//! published, and this on request.
 //!
 //! A moment is data, and JSON between processes (`roomcast/v1/moment`): the map in use, the narration that the model read, and each label's
 //! tokens with their log-probabilities. The pure functions of [`roomcast_core::grounding`] and [`roomcast_core::explanation`] compute

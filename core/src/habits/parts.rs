@@ -1,4 +1,4 @@
-//! All parts of the forecasts: experts, and levels of counts.
+//! Gathers the parts of the forecasts, experts and levels of counts, which next.rs, stays.rs and leaving.rs list and pool.rs mixes.
 
 use std::sync::LazyLock;
 

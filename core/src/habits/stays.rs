@@ -1,5 +1,5 @@
-//! The length of stays, and the place a time later: the forecasts of P(place at now + t) are mixed by fixed share, with separate weights at each of
-//! [`ANCHORS_S`]. Between the anchors they are interpolated over the logarithm of the time.
+//! The place a time later (leaving.rs has the length of stays): the forecasts of P(place at now + t) are mixed by fixed share, with separate weights at
+//! each of [`ANCHORS_S`]. Between the anchors they are interpolated over the logarithm of the time.
 //!
 //! | expert | source |
 //! | --- | --- |

@@ -1,5 +1,6 @@
-//! From events to the published snapshot: the pipeline's step, with sequence numbers, ages and flags. No clock and no port, so the daemon's loop, the
-//! simulation and the tests drive the same code.
+//! From events to the published snapshot, with sequence numbers, ages and flags: `take_in` (attribution and histories), `follow` (belief),
+//! `score_within` (scores), and then, behind the scores, which wait for nothing, `forecast` and `person_forecasts` (publication). No clock and no
+//! port, so the daemon's loop, the simulation and the tests drive the same code.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -141,7 +142,7 @@ fn seconds(ns: i64) -> f64 {
 }
 
 impl<M: LanguageModel> Engine<M> {
-    /// A engine without scores. `epoch` is random per start of the daemon; `grounding` has the options of the pipeline's grounding.
+    /// An engine without scores. `epoch` is random per start of the daemon; `grounding` has the options of the pipeline's grounding.
     ///
     /// # Errors
     ///
