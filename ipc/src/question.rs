@@ -128,7 +128,7 @@ impl AnswerPort {
     }
 
     /// Writes a long answer to a file. Returns the text that the service carries instead.
-    fn put_aside(&self, answer: &str) -> String {
+    fn put_into_file(&self, answer: &str) -> String {
         let name = format!("{:016x}", sequence::random_epoch());
         let file = self.files.of(&name);
         // The name is published only after the file is complete.
@@ -165,7 +165,7 @@ impl AnswerPort {
             });
             let mut answer = respond(question);
             if answer.len() > ANSWER_BYTES_MAX {
-                answer = self.put_aside(&answer);
+                answer = self.put_into_file(&answer);
             }
             let response = request.loan_slice_uninit(answer.len());
             let sent = response.map(|response| response.write_from_slice(answer.as_bytes()).send());

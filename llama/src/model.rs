@@ -51,7 +51,7 @@ const SMALL_CALL_TOKENS: usize = 64;
 const POSITIONS_STEP: u32 = 256;
 
 /// Most prefixes outside the context: two for each of four persons. One of the embedded model takes about half a megabyte.
-const ASIDE_MAX: usize = 8;
+const STORED_MAX: usize = 8;
 
 /// Tokens that llama.cpp computes at a time. Its buffers have a row of logits for each, and most events are shorter.
 const TOKENS_AT_A_TIME: u32 = 128;
@@ -93,7 +93,7 @@ pub struct LlamaModel {
     /// Whether the cache holds a tree beyond `kept`.
     untidy: bool,
     /// Prefixes outside the context, with their cells: the oldest first.
-    aside: Vec<(Vec<Token>, SeqState)>,
+    stored: Vec<(Vec<Token>, SeqState)>,
     sequence_ids: Vec<i32>,
     rows: Vec<(i32, usize)>,
     /// Working memory of the tokeniser.
@@ -248,7 +248,7 @@ impl LlamaModel {
             kept: Vec::new(),
             kept_sequences: 1,
             untidy: false,
-            aside: Vec::new(),
+            stored: Vec::new(),
             sequence_ids: Vec::new(),
             rows: Vec::new(),
             tokens: RefCell::new(Vec::with_capacity(context_tokens as usize)),
@@ -296,19 +296,19 @@ impl LlamaModel {
         ModelError::Decode { tokens, reason }
     }
 
-    /// The place of the prefix in `aside` that shares most tokens with `prompt`, and how many.
-    fn nearest_aside(&self, prompt: &[Token]) -> Option<(usize, usize)> {
-        let shared = self.aside.iter().map(|(tokens, _)| common_prefix(tokens, prompt)).enumerate();
+    /// The place of the prefix in `stored` that shares most tokens with `prompt`, and how many.
+    fn nearest_stored(&self, prompt: &[Token]) -> Option<(usize, usize)> {
+        let shared = self.stored.iter().map(|(tokens, _)| common_prefix(tokens, prompt)).enumerate();
         shared.max_by_key(|&(_, shared)| shared)
     }
 
-    /// Makes a prefix of `aside` the kept one, if `prompt` shares more tokens with it.
-    fn fetch_aside(&mut self, prompt: &[Token]) -> Result<(), ModelError> {
-        let Some((place, shared)) = self.nearest_aside(prompt) else { return Ok(()) };
+    /// Makes a prefix of `stored` the kept one, if `prompt` shares more tokens with it.
+    fn fetch_stored(&mut self, prompt: &[Token]) -> Result<(), ModelError> {
+        let Some((place, shared)) = self.nearest_stored(prompt) else { return Ok(()) };
         if shared <= common_prefix(&self.kept, prompt) {
             return Ok(());
         }
-        let (tokens, state) = self.aside.remove(place);
+        let (tokens, state) = self.stored.remove(place);
         self.truncate_cache(0)?;
         self.kept.clear();
         (self.kept_sequences, self.untidy) = (1, false);
@@ -460,7 +460,7 @@ impl LanguageModel for LlamaModel {
     }
 
     fn forget(&mut self) {
-        self.aside.clear();
+        self.stored.clear();
         self.batch.clear();
         self.rows.clear();
         self.with_context(|context| context.clear_kv_cache());
@@ -500,15 +500,15 @@ impl LanguageModel for LlamaModel {
     }
 
     fn read_part(&mut self, prompt: &[Token], calls: usize) -> Result<bool, ModelError> {
-        let aside = self.sequences;
+        let extra = self.sequences;
         let most = self.kept.len() + prompt.len();
-        if !self.info.shares_prefix || aside >= SEQUENCES_MAX || most > self.info.context_tokens {
+        if !self.info.shares_prefix || extra >= SEQUENCES_MAX || most > self.info.context_tokens {
             return Ok(true);
         }
         if most > self.positions as usize {
             self.reserve(most)?;
         }
-        let nearest = self.nearest_aside(prompt);
+        let nearest = self.nearest_stored(prompt);
         let shared = nearest.map_or(0, |(_, shared)| shared);
         if shared == prompt.len() {
             return Ok(true);
@@ -522,15 +522,15 @@ impl LanguageModel for LlamaModel {
         // llama.cpp multiplies by fours.
         let part = (prompt.len() - from).div_ceil(calls.max(1)).next_multiple_of(4).min(self.small_tokens);
         let until = prompt.len().min(from + part);
-        let stored = nearest.filter(|_| shared > shared_kept).map(|(place, _)| &self.aside[place].1);
-        let id = aside.cast_signed();
+        let stored = nearest.filter(|_| shared > shared_kept).map(|(place, _)| &self.stored[place].1);
+        let id = extra.cast_signed();
         let filled = self.loaded.with_dependent_mut(|_, context| {
             let Some(context) = context else { return Ok(()) };
             let from = u32::try_from(from).ok();
             match stored {
                 Some(state) => {
                     context.state_seq_set(state, id).map_err(|error| error.to_string())?;
-                    context.clear_kv_cache_seq(Some(aside), from, None).map(drop).map_err(|error| error.to_string())
+                    context.clear_kv_cache_seq(Some(extra), from, None).map(drop).map_err(|error| error.to_string())
                 }
                 None if shared_kept > 0 => {
                     context.copy_kv_cache_seq(0, id, Some(0), from).map_err(|error| error.to_string())
@@ -541,12 +541,12 @@ impl LanguageModel for LlamaModel {
         filled.map_err(|reason| self.decode_error(0, reason))?;
         let (mut stats, mut none) = (DecodeStats::default(), |_: usize, _: &[f32]| {});
         for (position, &token) in prompt.iter().enumerate().take(until).skip(from) {
-            self.push(token, position, aside..aside + 1, None, &mut stats, &mut none)?;
+            self.push(token, position, extra..extra + 1, None, &mut stats, &mut none)?;
         }
         self.flush(&mut stats, &mut none)?;
         let state = self.with_context(|context| {
             let state = context.state_seq_get(id, LlamaStateSeqFlags::empty()).map_err(|error| error.to_string())?;
-            context.clear_kv_cache_seq(Some(aside), None, None).map_err(|error| error.to_string())?;
+            context.clear_kv_cache_seq(Some(extra), None, None).map_err(|error| error.to_string())?;
             Ok(state)
         });
         let Some(state) = state.transpose().map_err(|reason: String| self.decode_error(0, reason))? else {
@@ -554,11 +554,11 @@ impl LanguageModel for LlamaModel {
         };
         match nearest {
             // The former part of the same prompt.
-            Some((place, shared)) if shared == self.aside[place].0.len() => drop(self.aside.remove(place)),
-            _ if self.aside.len() >= ASIDE_MAX => drop(self.aside.remove(0)),
+            Some((place, shared)) if shared == self.stored[place].0.len() => drop(self.stored.remove(place)),
+            _ if self.stored.len() >= STORED_MAX => drop(self.stored.remove(0)),
             _ => {}
         }
-        self.aside.push((prompt[..until].to_vec(), state));
+        self.stored.push((prompt[..until].to_vec(), state));
         Ok(until == prompt.len())
     }
 
@@ -578,7 +578,7 @@ impl LanguageModel for LlamaModel {
             kept: Vec::new(),
             kept_sequences: 1,
             untidy: false,
-            aside: Vec::new(),
+            stored: Vec::new(),
             sequence_ids: Vec::new(),
             rows: Vec::new(),
             tokens: RefCell::new(Vec::new()),
@@ -624,7 +624,7 @@ impl LanguageModel for LlamaModel {
         if !self.info.shares_prefix {
             self.forget();
         }
-        self.fetch_aside(prompt)?;
+        self.fetch_stored(prompt)?;
         // The last prompt token is decoded again if its logits are asked for.
         let keep = common_prefix(&self.kept, prompt).min(prompt.len() - usize::from(want_prompt_row));
         if self.untidy || keep < self.kept.len() {

@@ -107,7 +107,7 @@ pub fn run(args: &Args) -> CommandResult {
     let ipc = |error| Failure::new(exit_code::IPC, error);
     let node = domain.open("roomcast-replay").map_err(ipc)?;
     if args.all {
-        refuse_beside(&node.participants().map_err(ipc)?, &domain)?;
+        refuse_running_system(&node.participants().map_err(ipc)?, &domain)?;
     }
     let publishers = Publishers::open(&node, args.all).map_err(ipc)?;
     let heard = (!args.all).then(|| node.subscriber::<RoomScoresV1>()).transpose().map_err(ipc)?;
@@ -193,7 +193,7 @@ const MISLED: [(&str, &str); 6] = [
 ];
 
 /// Refuses to replay everything if a participant would act on it.
-fn refuse_beside(participants: &[String], domain: &Domain) -> CommandResult {
+fn refuse_running_system(participants: &[String], domain: &Domain) -> CommandResult {
     let misled =
         MISLED.into_iter().find_map(|(name, who)| Some((who, participants.iter().find(|own| own.starts_with(name))?)));
     let Some((who, name)) = misled else { return Ok(()) };
@@ -247,7 +247,7 @@ mod tests {
         let domain = Domain::new("/tmp/roomcast-x", "x").unwrap();
         let refused = |names: &[&str]| {
             let names: Vec<_> = names.iter().map(|name| (*name).to_owned()).collect();
-            refuse_beside(&names, &domain).err().map(|failure| failure.to_string())
+            refuse_running_system(&names, &domain).err().map(|failure| failure.to_string())
         };
         let watching = ["roomcast-metrics", "roomcast-record", "roomcast-replay", "roomcast-top", "roomcast-view"];
         assert_eq!(refused(&watching), None);
