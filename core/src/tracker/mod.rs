@@ -615,7 +615,7 @@ fn silence(rooms: &[f64], slots: &[f64], count: usize) -> impl Fn(Key) -> f64 {
 /// The classes of an empty room.
 const EMPTY_ROOM: [f64; CLASSES] = [1.0, 0.0, 0.0, 0.0];
 
-/// The house counts as empty above this probability.
+/// The house counts as empty from this probability on.
 pub const SURELY_EMPTY: f64 = 0.9;
 
 /// Longest silence that is played in steps, in seconds.

@@ -286,8 +286,8 @@ fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
         _ => None,
     });
     let clocks_ns = clocks_ns.unwrap();
-    // Each recorder drops repeated forecasts by its own clock, and may miss some on a busy machine. Those that both have are equal. A heartbeat
-    // repeats a number 250 ms later.
+    // Each recorder drops repeated forecasts by its own clock, and may miss some on a busy machine. Shared ones are equal. A heartbeat repeats a
+    // number 250 ms later.
     for (end, ahead_s) in [("", 0.0), ("/in_60s", 60.0), ("/in_600s", 600.0)] {
         let (mut expected_rooms, mut expected_ada) = (Vec::new(), Vec::new());
         for (_, message) in &own.messages {

@@ -131,7 +131,7 @@ impl Publication {
         let now_s = now_ns.seconds();
         let others_out: f64 = untracked.iter().map(|own| own.elsewhere(now_s, 0.0)).product();
         let is_empty =
-            tracker.map_or(known_persons.are_all_away(), |own| own.house_empty() * others_out > SURELY_EMPTY);
+            tracker.map_or(known_persons.are_all_away(), |own| own.house_empty() * others_out >= SURELY_EMPTY);
         if is_empty && !not_known {
             message.flags |= forecast_flags::NOBODY_HOME;
         }
