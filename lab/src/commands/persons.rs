@@ -136,6 +136,8 @@ fn text(rows: &[Row]) -> String {
         "wrong > .9, %",
         "empty while in, of 10 000 min",
         "loss at +15 min",
+        "robot beside, min/h",
+        "rooms done, %",
         "us a report",
     ];
     let mut table = table(&header);
@@ -157,6 +159,8 @@ fn text(rows: &[Row]) -> String {
             format!("{:.2}", 100.0 * row.wrong_and_sure),
             format!("{:.1}", row.empty_while_in),
             row.forecast_nats.map_or_else(String::new, |nats| format!("{nats:.3}")),
+            format!("{:.2}", row.beside_min_per_h),
+            format!("{:.1}", 100.0 * row.rooms_done),
             format!("{:.0}", row.report_us),
         ]);
     }

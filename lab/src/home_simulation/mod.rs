@@ -84,6 +84,13 @@ pub struct Truth {
     pub visitors: Vec<Life>,
 }
 
+impl Truth {
+    /// Everybody's room at a second; `None` is elsewhere.
+    pub(crate) fn places(&self, second: usize) -> impl Iterator<Item = Option<usize>> {
+        self.residents.iter().chain(&self.visitors).map(move |life| life.room[second].map(usize::from))
+    }
+}
+
 /// A normal draw (Box and Muller).
 pub(crate) fn normal(random: &mut impl RngExt, mean: f64, deviation: f64) -> f64 {
     let (u, v): (f64, f64) = (random.random_range(1e-12..1.0), random.random_range(0.0..1.0));
