@@ -32,6 +32,8 @@ use roomcast_core::scorer::LanguageModel;
 
 /// Silence before low-priority work, so that it does not delay a burst of events.
 const QUIET_NS: u64 = 50_000_000;
+/// The model reads on so long after the scores: on a busy machine the scheduler queues the planner, which the scores wake, on this thread's core.
+const READ_ON_NS: u64 = 1_000_000;
 /// Longest time between renewals of connections. Participants that use this contract's crate wake the daemon when they join or ask.
 const TICK: Duration = Duration::from_millis(250);
 /// During shorter steps the port buffers the events: waking another thread for them would take a core from the step.
@@ -101,6 +103,8 @@ pub(super) struct Scoring<M> {
     quiet_ns: BootNs,
     /// The engine has work for [`Cycle::tidy`].
     is_untidy: bool,
+    /// The model reads on from this time on.
+    reads_on_ns: Option<BootNs>,
     /// Most tokens of a sentence with the map in use, for the intake.
     sentence_tokens_max: Arc<AtomicUsize>,
     journal: Option<JournalHandle>,
@@ -153,6 +157,7 @@ impl<M: LanguageModel> Scoring<M> {
             is_interrupted: false,
             quiet_ns: BootNs(0),
             is_untidy: false,
+            reads_on_ns: None,
             sentence_tokens_max,
             journal,
             counters,
@@ -172,7 +177,9 @@ impl<M: LanguageModel> Scoring<M> {
             let wait = !last && !self.cycle.step_due(clock::monotonic_ns());
             let idle = || {
                 let now_ns = clock::monotonic_ns();
-                Duration::from_nanos(self.cycle.idle_ns(now_ns).min(self.until_quiet_ns(now_ns))).min(TICK)
+                let until_ns =
+                    self.until_quiet_ns(now_ns).min(self.reads_on_ns.map_or(u64::MAX, |at_ns| at_ns.since(now_ns)));
+                Duration::from_nanos(self.cycle.idle_ns(now_ns).min(until_ns)).min(TICK)
             };
             self.take(if wait { idle() } else { Duration::ZERO });
             let now_ns = clock::monotonic_ns();
@@ -215,8 +222,9 @@ impl<M: LanguageModel> Scoring<M> {
                 self.ports.moments.answer(|_| moment())?;
             }
             if events > 0 && is_scored {
-                self.cycle.read_on();
+                self.reads_on_ns = Some(clock::monotonic_ns().saturating_add(READ_ON_NS));
             }
+            self.read_on();
             if self.receiver.waiting() == 0 && self.cycle.waiting() == 0 && !self.cycle.step_due(clock::monotonic_ns())
             {
                 self.look_after_habits(now_ns);
@@ -349,6 +357,16 @@ impl<M: LanguageModel> Scoring<M> {
     /// Time until low-priority work is due.
     fn until_quiet_ns(&self, now_ns: BootNs) -> u64 {
         if self.is_untidy || self.is_prefetch_due() { self.quiet_ns.since(now_ns) } else { u64::MAX }
+    }
+
+    /// The model reads a part of the next window. In a burst the next event is here already, and it reads at once.
+    fn read_on(&mut self) {
+        let is_due = self.reads_on_ns.is_some_and(|at_ns| at_ns <= clock::monotonic_ns());
+        let is_burst = self.reads_on_ns.is_some() && (self.receiver.has_more() || self.cycle.waiting() > 0);
+        if is_due || is_burst {
+            self.reads_on_ns = None;
+            self.cycle.read_on();
+        }
     }
 
     /// Does a small part of the low-priority work: tidies up, or passes a snapshot to the prefetcher. Right after the scores it would take the core
