@@ -8,9 +8,10 @@
 //! - llama.cpp alone in a context with the same parameters: one decoder call with the same new tokens and the same inner nodes of the
 //!   label trie, and one with the new tokens alone. Only the call is timed, neither filling its batch nor reading its rows.
 //!
-//! The bench compares the scores of both, to check that they do the same work.
+//! The bench compares the scores of both, to check that they do the same work. The last table compares the event with the bare products of its
+//! matrices.
 
-#![expect(unsafe_code, reason = "an allocator that counts")]
+#![expect(unsafe_code, reason = "an allocator that counts, and ggml's functions")]
 #![expect(clippy::expect_used, reason = "a bench that cannot set up has nothing to measure")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -44,10 +45,17 @@ use roomcast_services::config::IntakeLimits;
 use roomcast_services::daemon::{Cycle, Engine, Entry, Intake, Taken};
 use roomcast_services::embedded::{self, ModelFile};
 
+use crate::products::Products;
+
+#[path = "event/products.rs"]
+mod products;
+
 /// Events at the beginning of each program that are not counted.
 const WARM_UP: usize = 3;
 /// Largest difference of the scores, in nats per label: batches of another size use other kernels.
 const TOLERANCE_NATS: f64 = 0.1;
+/// Tokens of the bare products: fewer reach fewer operations per second, and longer calls are interrupted more often.
+const MANY_TOKENS: usize = 32;
 
 /// Allocations of Rust code. Those of llama.cpp are not in it.
 static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
@@ -298,6 +306,21 @@ struct Sample {
     bare_exact: u64,
     ranking: Parts,
     bare_new: u64,
+    /// Positions that the tokens see, all together.
+    seen: usize,
+    products: u64,
+    many_products: u64,
+}
+
+impl Sample {
+    fn tokens(&self) -> usize {
+        self.new_tokens + self.nodes
+    }
+
+    /// The last prompt token and the nodes have logits.
+    fn rows(&self) -> usize {
+        1 + self.nodes
+    }
 }
 
 fn tell(
@@ -307,6 +330,7 @@ fn tell(
     read: &dyn Fn() -> Weights,
     options: &LlamaOptions,
     rounds: usize,
+    products: &Products,
 ) -> Vec<Sample> {
     let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").expect("/tmp can be used");
     let domain = |name: &str| {
@@ -348,6 +372,10 @@ fn tell(
                 bare_exact: 0,
                 ranking: Parts::default(),
                 bare_new: 0,
+                seen: (keep..prompt.len()).map(|position| position + 1).sum::<usize>()
+                    + (0..tree.len()).map(|index| prompt.len() + tree.depth(index) as usize).sum::<usize>(),
+                products: 0,
+                many_products: 0,
             };
             bare_exact.hold(&prompt[..keep]);
             bare_new.hold(&prompt[..keep]);
@@ -360,6 +388,8 @@ fn tell(
                     _ => sample.bare_new = bare_new.decode(&prompt, &none),
                 }
             }
+            sample.products = products.time_ns(sample.tokens(), sample.rows());
+            sample.many_products = products.time_ns(MANY_TOKENS, MANY_TOKENS);
             let scores = exact.cycle.engine().pipeline().scores();
             assert_eq!(scores.stats.prompt_tokens_decoded as usize, sample.new_tokens, "the same new tokens");
             assert_eq!(scores.stats.tree_tokens_decoded as usize, tree.len(), "the same nodes");
@@ -416,6 +446,33 @@ fn row(name: &str, samples: &[&Sample]) -> Vec<String> {
     ]
 }
 
+/// How near the event is to the most that this processor does with the same arithmetic: the fastest bare products of [`MANY_TOKENS`].
+fn limits(samples: &[&Sample], products: &Products) -> Table {
+    let mut limits = table(&["near the limit", "million operations", "us", "billions per second", "of the fastest"]);
+    let many = products.operations(MANY_TOKENS, MANY_TOKENS);
+    let fastest_ns = samples.iter().map(|s| s.many_products).min().unwrap_or(u64::MAX) as f64;
+    let inside = |s: &Sample| products.operations(s.tokens(), s.rows());
+    let all = |s: &Sample| inside(s) + products.attention_operations(s.seen);
+    type Of<'a> = &'a dyn Fn(&Sample) -> f64;
+    let rows: [(&str, Of<'_>, Of<'_>); 4] = [
+        ("event, exact", &all, &|s| s.exact.total as f64),
+        ("decoder call, bare", &all, &|s| s.bare_exact as f64),
+        ("the call's matrix products alone", &inside, &|s| s.products as f64),
+        ("bare products of 32 tokens, fastest", &|_| many, &|_| fastest_ns),
+    ];
+    for (name, operations, ns) in rows {
+        let of = |value: Of<'_>| median(samples.iter().map(|s| value(s)));
+        limits.add_row(vec![
+            name.to_owned(),
+            format!("{:.0}", of(&|s| operations(s) / 1e6)),
+            format!("{:.0}", of(&|s| ns(s) / 1e3)),
+            format!("{:.0}", of(&|s| operations(s) / ns(s))),
+            format!("{:.0} %", of(&|s| 100.0 * operations(s) / ns(s) / (many / fastest_ns))),
+        ]);
+    }
+    limits
+}
+
 fn main() {
     let args = Args::parse();
     let file = ModelFile::create().expect("there is memory for the model");
@@ -430,6 +487,7 @@ fn main() {
         let backend = backend().expect("llama.cpp is set up");
         Weights::load_from_file(backend, &path, &LlamaModelParams::default()).expect("the model can be loaded")
     };
+    let products = Products::new(&path, options.threads);
 
     let mut told = Vec::new();
     for program in embedded::PROGRAMS {
@@ -437,7 +495,7 @@ fn main() {
             Program::parse(program.text).expect("it ships").steps.iter().map(Action::sentence).collect();
         for scene in embedded::SCENES.iter().filter(|scene| scene.name.starts_with("apartment")) {
             let map = SemanticMap::from_json(scene.text).expect("it ships");
-            let samples = tell(&sentences, &map, &load, &read, &options, args.rounds);
+            let samples = tell(&sentences, &map, &load, &read, &options, args.rounds, &products);
             told.push((program.name, scene.name, samples));
         }
     }
@@ -490,7 +548,7 @@ fn main() {
             share(|s| &s.ranking),
         ]);
     }
-    println!("{parts}\n");
+    println!("{parts}\n\n{}\n", limits(&all, &products));
     let none = all.iter().filter(|s| s.exact.allocations == 0).count();
     println!("{none} of {} events made no allocation between intake and publishing", all.len());
 }

@@ -22,9 +22,10 @@ CONTEXT = 1024
 SEQUENCES_MAX = 256
 
 
-def key_type(c, cache: str) -> int:
-    """llama.cpp's type for keys in a cache that Roomcast calls `cache`; values are f32 in both."""
-    return {"mixed": c.GGML_TYPE_F16, "f32": c.GGML_TYPE_F32}[cache]
+def cache_types(c, cache: str) -> tuple[int, int, bool]:
+    """llama.cpp's types for keys and values in a cache that Roomcast calls `cache`, and whether its fused attention reads them."""
+    return {"mixed": (c.GGML_TYPE_F16, c.GGML_TYPE_F32, False), "f32": (c.GGML_TYPE_F32, c.GGML_TYPE_F32, False),
+            "q8": (c.GGML_TYPE_Q8_0, c.GGML_TYPE_Q8_0, True)}[cache]
 
 
 def cappr(model: str, cache: str, threads: int, labels: list[str], _: list[list[int]]) -> Score:
@@ -35,8 +36,9 @@ def cappr(model: str, cache: str, threads: int, labels: list[str], _: list[list[
     from cappr.llama_cpp.classify import cache_model, log_probs_conditional
     import llama_cpp as c
 
+    keys, values, fused = cache_types(c, cache)
     llama = c.Llama(model, n_ctx=CONTEXT, n_threads=threads, n_threads_batch=threads, logits_all=True, verbose=False,
-                    type_k=key_type(c, cache), type_v=c.GGML_TYPE_F32)
+                    type_k=keys, type_v=values, flash_attn=fused)
     kept = ""
 
     def score(prompt: str) -> list[float]:
@@ -70,8 +72,8 @@ def llama_cpp_layout(model: str, cache: str, threads: int, labels: list[str], to
     parameters.n_ctx = parameters.n_batch = parameters.n_ubatch = CONTEXT
     parameters.n_seq_max = len(labels)
     parameters.n_threads = parameters.n_threads_batch = threads
-    parameters.type_k, parameters.type_v = key_type(c, cache), c.GGML_TYPE_F32
-    parameters.flash_attn_type = 0
+    parameters.type_k, parameters.type_v, fused = cache_types(c, cache)
+    parameters.flash_attn_type = int(fused)
     parameters.kv_unified = True
     context = c.llama_init_from_model(weights, parameters)
     vocabulary, memory = c.llama_model_get_vocab(weights), c.llama_get_memory(context)
