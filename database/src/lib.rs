@@ -5,7 +5,7 @@
 
 use std::fs::{self, File, OpenOptions};
 use std::io;
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -37,38 +37,18 @@ pub struct Schema {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DatabaseError {
-    /// A file operation failed.
-    #[error("database {}: cannot {operation} it: {source}; check owner, mode and space of its folder", path.display())]
-    File {
-        /// The file or folder.
-        path: PathBuf,
-        /// "open", "lock" or another operation.
-        operation: &'static str,
-        /// The system's reason.
-        source: io::Error,
-    },
+    /// An operation on the file or its folder failed, such as "open" or "lock".
+    #[error("database {}: cannot {} it: {}; check owner, mode and space of its folder", .0.display(), .1, .2)]
+    File(PathBuf, &'static str, #[source] io::Error),
     /// Another user could have created or may change it.
-    #[error("database {}: {source}", path.display())]
-    Refused {
-        /// The file.
-        path: PathBuf,
-        /// The reason and the remedy.
-        source: io::Error,
-    },
+    #[error("database {}: {}", .0.display(), .1)]
+    Refused(PathBuf, #[source] io::Error),
     /// Another process has it.
-    #[error("database {}: another process uses it; stop that process, or give this one another directory", path.display())]
-    Locked {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("database {}: another process uses it; stop that process, or give this one another directory", .0.display())]
+    Locked(PathBuf),
     /// SQLite reports an error.
-    #[error("database {}: {source}; check the disk and its space", path.display())]
-    Sqlite {
-        /// The file.
-        path: PathBuf,
-        /// SQLite's reason.
-        source: rusqlite::Error,
-    },
+    #[error("database {}: {}; check the disk and its space", .0.display(), .1)]
+    Sqlite(PathBuf, #[source] rusqlite::Error),
 }
 
 /// A database that was set aside because it is damaged.
@@ -111,13 +91,15 @@ pub struct Database {
 }
 
 impl Database {
-    /// Opens or creates the database. A damaged database is set aside, and a new one begins.
+    /// Opens or creates the database, and its folder for its owner alone. A damaged database is set aside, and a new one begins.
     ///
     /// # Errors
     /// [`DatabaseError`]; damage is no error.
     pub fn open(path: &Path, schema: Schema) -> Result<(Self, Option<SetAside>), DatabaseError> {
         // SQLite follows no links: only the folder may have some.
         let folder = path.parent().unwrap_or(Path::new("."));
+        let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(folder);
+        made.map_err(failed(path, "make the folder of"))?;
         let folder = fs::canonicalize(folder).map_err(failed(folder, "find"))?;
         let path = folder.join(path.file_name().unwrap_or_default());
         let place = Place::File(lock(&path)?);
@@ -156,7 +138,7 @@ impl Database {
                 Ok(None)
             }
             Err(error) if is_damage(&error) => self.start_anew(&error).map(Some),
-            Err(source) => Err(DatabaseError::Sqlite { path: self.path.clone(), source }),
+            Err(source) => Err(DatabaseError::Sqlite(self.path.clone(), source)),
         }
     }
 
@@ -167,7 +149,7 @@ impl Database {
     pub fn start_anew(&mut self, damage: &rusqlite::Error) -> Result<SetAside, DatabaseError> {
         self.connection = None;
         let path = self.set_aside()?;
-        let connection = self.connect().map_err(|source| DatabaseError::Sqlite { path: self.path.clone(), source })?;
+        let connection = self.connect().map_err(|source| DatabaseError::Sqlite(self.path.clone(), source))?;
         self.connection = Some(connection);
         let rows = self.salvage(&path).unwrap_or_default();
         Ok(SetAside { path, reason: damage.to_string(), rows })
@@ -181,10 +163,6 @@ impl Database {
         let damaged =
             Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX)?;
         damaged.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
-        let version = |connection: &Connection| -> rusqlite::Result<[i64; 2]> {
-            let number = |name| connection.pragma_query_value(None, name, |row| row.get(0));
-            Ok([number("application_id")?, number("user_version")?])
-        };
         if version(&damaged)? != version(self.connection()?)? {
             return Ok(0);
         }
@@ -249,14 +227,8 @@ impl Database {
     fn migrate(&self, connection: &mut Connection) -> rusqlite::Result<()> {
         let Schema { application, migrations } = self.schema;
         let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
-        let [found, version]: [i32; 2] = ["application_id", "user_version"]
-            .map(|name| transaction.pragma_query_value(None, name, |row| row.get(0)))
-            .into_iter()
-            .collect::<rusqlite::Result<Vec<_>>>()?
-            .try_into()
-            .unwrap_or_default();
-        let is_new = version == 0 && found == 0;
-        if !is_new && found != application {
+        let (found, version) = version(&transaction)?;
+        if ![(0, 0), (application, version)].contains(&(found, version)) {
             return Err(damaged("it is a database of another program"));
         }
         let done = usize::try_from(version).unwrap_or(usize::MAX);
@@ -448,54 +420,50 @@ pub fn count_sync(transaction: &Transaction<'_>) -> rusqlite::Result<()> {
     transaction.prepare_cached(count)?.execute([]).map(|_| ())
 }
 
+/// The program of a database, and the version of its schema.
+fn version(connection: &Connection) -> rusqlite::Result<(i32, i32)> {
+    let number = |name| connection.pragma_query_value(None, name, |row| row.get(0));
+    Ok((number("application_id")?, number("user_version")?))
+}
+
 /// The content of a row; `None` if a column has a value that no sound row has.
 ///
 /// # Errors
 /// Any other error.
 pub fn sound<T>(row: rusqlite::Result<T>) -> rusqlite::Result<Option<T>> {
-    use rusqlite::Error::{FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnType, Utf8Error};
     match row {
-        Ok(content) => Ok(Some(content)),
-        Err(Utf8Error(..) | IntegralValueOutOfRange(..) | FromSqlConversionFailure(..) | InvalidColumnType(..)) => {
-            Ok(None)
-        }
-        Err(error) => Err(error),
+        Err(error) if is_value(&error) => Ok(None),
+        row => row.map(Some),
     }
+}
+
+/// Whether a column has a value that no sound row has.
+fn is_value(error: &rusqlite::Error) -> bool {
+    use rusqlite::Error::{FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnType, Utf8Error};
+    matches!(error, FromSqlConversionFailure(..) | IntegralValueOutOfRange(..) | InvalidColumnType(..) | Utf8Error(..))
 }
 
 /// Whether an error means a damaged file, and not a problem of the disk or another process.
 #[must_use]
 pub fn is_damage(error: &rusqlite::Error) -> bool {
-    use rusqlite::Error::{
-        FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnIndex, InvalidColumnType, QueryReturnedNoRows,
-        SqlInputError, SqliteFailure, Utf8Error,
-    };
-    match error {
-        SqliteFailure(error, _) => {
-            error.extended_code == rusqlite::ffi::SQLITE_IOERR_SHORT_READ
-                || !matches!(
-                    error.code,
-                    ErrorCode::CannotOpen
-                        | ErrorCode::DatabaseBusy
-                        | ErrorCode::DatabaseLocked
-                        | ErrorCode::DiskFull
-                        | ErrorCode::FileLockingProtocolFailed
-                        | ErrorCode::OutOfMemory
-                        | ErrorCode::PermissionDenied
-                        | ErrorCode::ReadOnly
-                        | ErrorCode::SystemIoFailure
-                )
-        }
-        FromSqlConversionFailure(..)
-        | IntegralValueOutOfRange(..)
+    use rusqlite::Error::{InvalidColumnIndex, QueryReturnedNoRows, SqlInputError};
+    let Some(failure) = error.sqlite_error() else {
         // A damaged schema has other columns.
-        | InvalidColumnIndex(..)
-        | SqlInputError { .. }
-        | InvalidColumnType(..)
-        | QueryReturnedNoRows
-        | Utf8Error(..) => true,
-        _ => false,
-    }
+        return is_value(error) || matches!(error, InvalidColumnIndex(..) | QueryReturnedNoRows | SqlInputError { .. });
+    };
+    failure.extended_code == rusqlite::ffi::SQLITE_IOERR_SHORT_READ
+        || !matches!(
+            failure.code,
+            ErrorCode::CannotOpen
+                | ErrorCode::DatabaseBusy
+                | ErrorCode::DatabaseLocked
+                | ErrorCode::DiskFull
+                | ErrorCode::FileLockingProtocolFailed
+                | ErrorCode::OutOfMemory
+                | ErrorCode::PermissionDenied
+                | ErrorCode::ReadOnly
+                | ErrorCode::SystemIoFailure
+        )
 }
 
 fn damaged(reason: &str) -> rusqlite::Error {
@@ -518,7 +486,7 @@ fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
 
 fn failed(path: &Path, operation: &'static str) -> impl FnOnce(io::Error) -> DatabaseError {
     let path = path.to_owned();
-    move |source| DatabaseError::File { path, operation, source }
+    move |source| DatabaseError::File(path, operation, source)
 }
 
 fn remove(path: &Path) -> io::Result<()> {
@@ -538,7 +506,7 @@ fn own_file(path: &Path) -> io::Result<File> {
 fn lock(path: &Path) -> Result<File, DatabaseError> {
     for suffix in ["", "-wal", "-shm"] {
         let path = with_suffix(path, suffix);
-        require_own(&path).map_err(|source| DatabaseError::Refused { path, source })?;
+        require_own(&path).map_err(|source| DatabaseError::Refused(path, source))?;
     }
     let file = own_file(path).map_err(failed(path, "open"))?;
     let start = Instant::now();
@@ -547,7 +515,7 @@ fn lock(path: &Path) -> Result<File, DatabaseError> {
             return Err(failed(path, "lock")(error.into()));
         }
         if start.elapsed() >= LOCKED_FOR {
-            return Err(DatabaseError::Locked { path: path.to_owned() });
+            return Err(DatabaseError::Locked(path.to_owned()));
         }
         std::thread::sleep(Duration::from_millis(5));
     }

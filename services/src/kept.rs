@@ -53,7 +53,7 @@ impl Kept {
         let path = self.path.clone();
         let read = self.open().and_then(|database| {
             let rows = database.connection().and_then(|connection| rows(connection, table));
-            rows.map_err(|source| DatabaseError::Sqlite { path, source })
+            rows.map_err(|source| DatabaseError::Sqlite(path, source))
         });
         let value = match read.map_err(|error| error.to_string())? {
             Some(fields) => Some(Value::Object(fields)),
@@ -87,9 +87,6 @@ impl Kept {
 
     fn open(&mut self) -> Result<&mut Database, DatabaseError> {
         if self.database.is_none() {
-            let failed =
-                |source| DatabaseError::File { path: self.path.clone(), operation: "make the folder of", source };
-            self.path.parent().map_or(Ok(()), state_file::make_folder).map_err(failed)?;
             let (database, set_aside) = Database::open(&self.path, self.schema)?;
             if let Some(aside) = set_aside {
                 self.is_anew = true;
@@ -97,7 +94,7 @@ impl Kept {
             }
             self.database = Some(database);
         }
-        self.database.as_mut().ok_or_else(|| DatabaseError::Locked { path: self.path.clone() })
+        self.database.as_mut().ok_or_else(|| DatabaseError::Locked(self.path.clone()))
     }
 
     fn write(&mut self, table: &str, fields: &Map<String, Value>, is_synced: bool) -> Result<(), DatabaseError> {
@@ -110,7 +107,7 @@ impl Kept {
         };
         let is_long = database.bytes() > 2 * WAL_BYTES_MAX;
         let written = if is_synced || is_long { database.write_synced(work) } else { database.write(work) };
-        written.map_err(|source| DatabaseError::Sqlite { path, source })
+        written.map_err(|source| DatabaseError::Sqlite(path, source))
     }
 }
 

@@ -8,7 +8,7 @@
 use std::collections::VecDeque;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead, BufReader};
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
 use roomcast_database::rusqlite::{self, OptionalExtension, Row, params};
@@ -50,7 +50,7 @@ pub type SpoolError = DatabaseError;
 pub fn is_of_configuration(error: &SpoolError) -> bool {
     match error {
         DatabaseError::Refused { .. } => true,
-        DatabaseError::File { source, .. } => matches!(
+        DatabaseError::File(_, _, source) => matches!(
             source.kind(),
             io::ErrorKind::NotFound
                 | io::ErrorKind::AlreadyExists
@@ -178,15 +178,13 @@ impl Spool {
         let path = folder.join(FILE);
         let failed = |operation| {
             let path = path.clone();
-            move |source| SpoolError::File { path, operation, source }
+            move |source| SpoolError::File(path, operation, source)
         };
-        let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(folder);
-        made.map_err(failed("make the folder of"))?;
         if !path.exists() {
             begin(&path, read_old(folder).map_err(failed("read the queue of an earlier version before"))?)?;
         }
         let (mut database, mut set_aside) = Database::open(&path, SCHEMA)?;
-        let failed_sqlite = |source| SpoolError::Sqlite { path: path.clone(), source };
+        let failed_sqlite = |source| SpoolError::Sqlite(path.clone(), source);
         let found = match read(&database) {
             Err(error) if is_damage(&error) => {
                 set_aside = Some(database.start_anew(&error)?);
@@ -331,7 +329,7 @@ impl Spool {
             write_head(transaction, head, last)
         };
         let written = if sync { database.write_synced(write) } else { database.write(write) };
-        written.map_err(|source| SpoolError::Sqlite { path: database.path().to_owned(), source })?;
+        written.map_err(|source| SpoolError::Sqlite(database.path().to_owned(), source))?;
         self.has_failed = false;
         self.noted = (self.head.first, clock::monotonic_ns());
         Ok(())
@@ -394,7 +392,7 @@ fn begin(path: &Path, old: Option<Found>) -> Result<(), SpoolError> {
         write_head(transaction, head, head.first + found.kept.len() as u64 - 1)
     });
     let erased = written.and_then(|()| database.erase());
-    erased.map_err(|source| SpoolError::Sqlite { path: unfinished.clone(), source })?;
+    erased.map_err(|source| SpoolError::Sqlite(unfinished.clone(), source))?;
     drop(database);
     if found.given_up > 0 {
         tracing::error!(
@@ -407,7 +405,7 @@ fn begin(path: &Path, old: Option<Found>) -> Result<(), SpoolError> {
         let _removed = fs::remove_file(path.with_extension(extension));
     }
     let named = fs::rename(&unfinished, path);
-    named.map_err(|source| SpoolError::File { path: unfinished, operation: "rename", source })
+    named.map_err(|source| SpoolError::File(unfinished, "rename", source))
 }
 
 fn insert(transaction: &Transaction<'_>, epoch: Hex, kept: &Kept) -> rusqlite::Result<()> {

@@ -31,7 +31,6 @@ pub use self::recovered::Recovered;
 use self::writer::SyncDue;
 pub use self::writer::Writer;
 use super::habits::Memory;
-use crate::state_file;
 
 mod forget;
 mod learned;
@@ -131,21 +130,16 @@ impl Journal {
     pub fn open(options: &JournalOptions) -> Result<(Self, Recovered), JournalError> {
         let directory = &options.directory;
         let path = directory.join(FILE);
-        let failed = |operation| {
-            let path = path.clone();
-            move |source| JournalError::File { path, operation, source }
-        };
-        state_file::make_folder(directory).map_err(failed("make the folder of"))?;
         let opened = Database::open(&path, SCHEMA)?;
         let (mut writer, recovered) = Writer::open(opened, Some(directory.clone()), options.bytes_max, &boot_id())
-            .map_err(|source| JournalError::Sqlite { path: path.clone(), source })?;
+            .map_err(|source| JournalError::Sqlite(path.clone(), source))?;
         let sync_every = Duration::from_millis(options.sync_ms.max(1));
         let progress = Arc::clone(&writer.progress);
         let (work, queue) = bounded(QUEUE);
         let writer = std::thread::Builder::new()
             .name("journal".to_owned())
             .spawn(move || run(&mut writer, &queue, sync_every))
-            .map_err(failed("start the writer of"))?;
+            .map_err(|source| JournalError::File(path, "start the writer of", source))?;
         let sink = Arc::new(Mutex::new(Sink { work: Some(work), appended: 0 }));
         Ok((Self { sink, progress, writer: Some(writer) }, recovered))
     }

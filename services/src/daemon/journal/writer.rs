@@ -33,7 +33,7 @@ fn tell_of(SetAside { path, reason, rows }: &SetAside) {
 /// The error inside.
 fn inner(error: DatabaseError) -> Error {
     match error {
-        DatabaseError::Sqlite { source, .. } => source,
+        DatabaseError::Sqlite(_, source) => source,
         error => refused(error),
     }
 }
