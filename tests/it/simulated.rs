@@ -766,8 +766,7 @@ impl World {
                     daemon.records.push_back((Record::Port { start, port }, false));
                 }
                 daemon.appended += 1;
-                let record = Record::Event { observation: observation.clone(), is_of_this_boot: true };
-                daemon.records.push_back((record, true));
+                daemon.records.push_back(((&observation).into(), true));
                 let after_gap = missed > 0;
                 let entry =
                     Entry { observation: observation.clone(), received_ns: BootNs(now_ns), after_gap, quota, leaves };
@@ -1979,7 +1978,7 @@ fn a_full_disk_takes_events_in_the_space_of_the_log() {
     let mut write = |writer: &mut Writer, count: u64| {
         let events = (sequence + 1..=sequence + count)
             .map(|sequence| Observation::of(sequence, Sentence::new("They do thing 1 with the pan.").unwrap()))
-            .map(|observation| Record::Event { observation, is_of_this_boot: true });
+            .map(|observation| Record::from(&observation));
         sequence += count;
         writer.write(events)
     };

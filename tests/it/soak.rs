@@ -70,7 +70,7 @@ fn memory_and_descriptors_stay_flat() {
     let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
     // So small that the oldest events are deleted within the first tenth: memory for the deletion does not count as growth.
     let options = JournalOptions { directory: directory.path().join("state"), bytes_max: 1 << 17, sync_ms: 1000 };
-    let (mut journal, _) = Journal::open(&options).unwrap();
+    let (journal, _) = Journal::open(&options).unwrap();
     let handle = journal.handle();
     let mut account = Account::new("soak", sequence::random_epoch());
     let mut planner = Planner::new(&PlannerConfig { room_time_s: 0.001, ..PlannerConfig::default() }, 1);

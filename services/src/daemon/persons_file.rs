@@ -90,7 +90,8 @@ impl PersonsFile {
             return Err(std::io::Error::new(std::io::ErrorKind::StorageFull, reason));
         }
         if let Some(journal) = &self.journal {
-            journal.replace_persons(persons.clone(), Instant::now() + PATIENCE)?;
+            let new = persons.clone();
+            journal.ask(|writer| writer.write_persons(new), Instant::now() + PATIENCE)?;
         }
         self.names = read(&persons);
         self.persons = persons;

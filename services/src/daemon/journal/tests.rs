@@ -4,9 +4,10 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use roomcast_core::forecast::PACES;
-use roomcast_core::ids::{BootNs, EventId, UnixNs};
-use roomcast_core::narration::{Event, Sentence, person_number};
+use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
+use roomcast_core::narration::{Event, Observation, Sentence, person_number};
 use roomcast_database::Connection;
+use roomcast_ipc::Sender as Port;
 
 use super::notes::text_of;
 use super::*;
@@ -31,7 +32,7 @@ fn writer(folder: &Path, bytes_max: u64) -> (Writer, Recovered) {
 }
 
 fn event(observation: &Observation) -> Record {
-    Record::Event { observation: observation.clone(), is_of_this_boot: true }
+    observation.into()
 }
 
 fn expected(of: &Observation, person: PersonId, probability: &[f32]) -> Record {
@@ -114,7 +115,7 @@ fn events_in_a_folder_that_was_made_again_are_not_kept() {
     let outer = tempfile::tempdir().unwrap();
     let state = outer.path().join("state");
     for is_made_again in [false, true] {
-        let (mut journal, _) = Journal::open(&options(&state, 1 << 20)).unwrap();
+        let (journal, _) = Journal::open(&options(&state, 1 << 20)).unwrap();
         journal.append(&observation(1));
         if is_made_again {
             fs::rename(&state, outer.path().join("gone")).unwrap();
@@ -255,7 +256,7 @@ fn a_forgotten_person_leaves_no_byte() {
     for file in ["narration.journal", "narration.journal.old", "narration.journal.large-7", "roomcast.db.damaged-3"] {
         fs::write(directory.path().join(file), "Ada's secret 3.").unwrap();
     }
-    let (mut journal, _) = Journal::open(&options).unwrap();
+    let (journal, _) = Journal::open(&options).unwrap();
     let handle = journal.handle();
     let of = |sequence: u64, name: &str| {
         let sentence = Sentence::new(&format!("They do secret {sequence}. {}", "and so on ".repeat(50))).unwrap();
@@ -275,10 +276,14 @@ fn a_forgotten_person_leaves_no_byte() {
     }
     let is_ada = |o: &Observation| o.name.as_deref() == Some("ada-lovelace");
     let is_theirs = move |o: &Observation, found: Option<PersonId>| is_ada(o) || found == Some(PersonId(1));
-    assert!(handle.forget(PersonId(1), is_theirs, Instant::now() + Duration::from_secs(30)).unwrap() > 0);
+    let forget = || {
+        let until = Instant::now() + Duration::from_secs(30);
+        handle.ask(move |writer| writer.forget(PersonId(1), &is_theirs), until).unwrap()
+    };
+    assert!(forget() > 0);
     let text = text_of(directory.path());
     assert!(!text.contains("ada-") && !text.contains("secret 3.") && text.contains("secret 4."));
-    assert_eq!(handle.forget(PersonId(1), is_theirs, Instant::now() + Duration::from_secs(30)).unwrap(), 0);
+    assert_eq!(forget(), 0);
     let last = journal.append(&of(121, "ben"));
     assert!(handle.wait_for(last, Duration::from_secs(30)));
     drop(journal);
@@ -398,7 +403,7 @@ fn a_damaged_database_is_set_aside() {
             _ => bytes[at..].iter_mut().take(300).for_each(|byte| *byte = byte.wrapping_mul(31).wrapping_add(7)),
         }
         fs::write(&path, &bytes).unwrap();
-        let (mut journal, recovered) = Journal::open(&options(directory.path(), 1 << 20)).unwrap();
+        let (journal, recovered) = Journal::open(&options(directory.path(), 1 << 20)).unwrap();
         if let Some(set_aside) = &recovered.set_aside {
             assert_eq!(fs::read(&set_aside.path).unwrap().len(), bytes.len());
             aside += 1;

@@ -349,7 +349,7 @@ impl Writer {
     ///
     /// # Errors
     /// When the disk refuses, or another program reads the database. Each sync tries again to erase.
-    pub(super) fn forget(&mut self, person: PersonId, is_theirs: &IsTheirs) -> Result<usize, Error> {
+    pub(in crate::daemon) fn forget(&mut self, person: PersonId, is_theirs: &IsTheirs) -> Result<usize, Error> {
         self.write([])?;
         self.number += 1;
         let number = self.number;
@@ -377,12 +377,7 @@ impl Writer {
     }
 
     /// Writes the habits that wait, if any. If the disk refuses, they wait again.
-    pub(super) fn write_waiting_habits(&mut self) {
-        let written = self.try_waiting_habits();
-        self.note(written);
-    }
-
-    fn try_waiting_habits(&mut self) -> Result<(), Error> {
+    pub(super) fn write_waiting_habits(&mut self) -> Result<(), Error> {
         let progress = Arc::clone(&self.progress);
         let waiting = || progress.habits.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(memory) = waiting().take() else { return Ok(()) };
@@ -394,7 +389,7 @@ impl Writer {
     /// # Errors
     /// When the disk refuses.
     pub(super) fn forget_habits(&mut self) -> Result<(), Error> {
-        self.try_waiting_habits()?;
+        self.write_waiting_habits()?;
         if let Some(directory) = &self.directory {
             old::remove(directory, &old::HABITS).map_err(refused)?;
         }
@@ -405,7 +400,7 @@ impl Writer {
     ///
     /// # Errors
     /// When the disk refuses; then the old ones stay.
-    pub(super) fn write_persons(&mut self, persons: Vec<KeptPerson>) -> Result<(), Error> {
+    pub(in crate::daemon) fn write_persons(&mut self, persons: Vec<KeptPerson>) -> Result<(), Error> {
         self.synced(|transaction| store::write_persons(transaction, &persons))?;
         self.persons = persons;
         Ok(())
@@ -448,12 +443,13 @@ impl Writer {
         self.progress.bytes.store(self.database.bytes(), Ordering::Relaxed);
     }
 
-    pub(super) fn note(&self, result: Result<(), Error>) {
-        if let Err(error) = result {
-            let failures = self.progress.failures.fetch_add(1, Ordering::Relaxed) + 1;
-            if failures.is_power_of_two() {
-                tracing::warn!(%error, failures, "the state database cannot be written; the history in memory is complete");
-            }
+    /// Does some work, and reports when the disk refuses.
+    pub(super) fn tries(&mut self, work: impl FnOnce(&mut Self) -> Result<(), Error>) -> bool {
+        let Err(error) = work(self) else { return true };
+        let failures = self.progress.failures.fetch_add(1, Ordering::Relaxed) + 1;
+        if failures.is_power_of_two() {
+            tracing::warn!(%error, failures, "the state database cannot be written; the history in memory is complete");
         }
+        false
     }
 }
