@@ -106,38 +106,12 @@ enum Entry {
     },
 }
 
-/// An observation with its time, and how far the input was read with it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Dated {
-    observation: Observation,
-    observed_ns: u64,
-    observed_unix_ns: u64,
-    ahead_ns: u64,
-    input: Option<Place>,
-}
-
-impl Dated {
-    /// An observation of `age_ns` ago; `input` is the place behind it, if the input has places.
-    #[must_use]
-    pub fn new(observation: Observation, age_ns: u64, input: Option<Place>) -> Self {
-        let observed_ns = clock::monotonic_ns().saturating_sub(age_ns);
-        let observed_unix_ns = clock::unix_ns().saturating_sub(age_ns);
-        Self { observation, observed_ns, observed_unix_ns, ahead_ns: 0, input }
-    }
-
-    /// The input's clock was ahead by this time.
-    #[must_use]
-    pub fn with_ahead(self, ahead_ns: u64) -> Self {
-        Self { ahead_ns, ..self }
-    }
-}
-
-/// A stored event.
+/// An event of the queue.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Kept {
-    /// Its number.
+    /// Its number; 0 before it is stored.
     pub sequence: u64,
-    /// The clock of `observed_ns`.
+    /// The clock of `observed_ns`; 0 before it is stored.
     clock: Hex,
     observed_ns: u64,
     observed_unix_ns: u64,
@@ -149,6 +123,22 @@ pub struct Kept {
     /// The observation.
     #[serde(flatten)]
     pub observation: Observation,
+}
+
+impl Kept {
+    /// An observation of `age_ns` ago; `input` is the place behind it, if the input has places.
+    #[must_use]
+    pub fn new(observation: Observation, age_ns: u64, input: Option<Place>) -> Self {
+        let observed_ns = clock::monotonic_ns().saturating_sub(age_ns);
+        let observed_unix_ns = clock::unix_ns().saturating_sub(age_ns);
+        Self { sequence: 0, clock: Hex(0), observed_ns, observed_unix_ns, ahead_ns: 0, input, observation }
+    }
+
+    /// The input's clock was ahead by this time.
+    #[must_use]
+    pub fn with_ahead(self, ahead_ns: u64) -> Self {
+        Self { ahead_ns, ..self }
+    }
 }
 
 /// The queue.
@@ -209,7 +199,7 @@ impl Spool {
         });
         let (clock, noted) = (Hex(clock_id()), (head.first, clock::monotonic_ns()));
         let mut spool = Self { database, head, clock, kept, keep, noted, has_failed: true, taken: 0 };
-        spool.write(|_| Ok(()), true)?;
+        spool.write(0, true)?;
         Ok(spool)
     }
 
@@ -273,7 +263,7 @@ impl Spool {
         }
         if count > 0 {
             let nothing = Observation { text: String::new(), kind: Kind::Sentence, person: Who::Somebody, count: 0 };
-            let nothing = Dated::new(nothing, 0, self.input());
+            let nothing = Kept::new(nothing, 0, self.input());
             self.append((0..count).map(|_| nothing.clone()).collect())?;
             self.taken += count;
         }
@@ -285,31 +275,20 @@ impl Spool {
     /// # Errors
     ///
     /// [`SpoolError`]; then none of them is stored.
-    pub fn append(&mut self, dated: Vec<Dated>) -> Result<(), SpoolError> {
-        let first = self.last() + 1;
-        for (sequence, dated) in (first..).zip(dated) {
-            let Dated { observation, observed_ns, observed_unix_ns, ahead_ns, input } = dated;
-            let clock = self.clock;
-            self.kept.push_back(Kept { sequence, clock, observed_ns, observed_unix_ns, ahead_ns, input, observation });
-        }
-        let begin = usize::try_from(first - self.head.first).unwrap_or(usize::MAX);
-        let fresh: Vec<Kept> = self.kept.range(begin.min(self.kept.len())..).cloned().collect();
-        let epoch = self.head.epoch;
-        let written =
-            self.write(|transaction| fresh.iter().try_for_each(|kept| insert(transaction, epoch, kept)), true);
+    pub fn append(&mut self, events: Vec<Kept>) -> Result<(), SpoolError> {
+        let (first, clock, old) = (self.last() + 1, self.clock, self.kept.len());
+        self.kept.extend((first..).zip(events).map(|(sequence, event)| Kept { sequence, clock, ..event }));
+        let written = self.write(old, true);
         if written.is_err() {
-            self.kept.truncate(begin);
+            self.kept.truncate(old);
         }
         self.trim();
         written
     }
 
-    /// Writes in one transaction, with the head and without the confirmed events; syncs on request. After a failure all events are written again.
-    fn write(
-        &mut self,
-        work: impl FnOnce(&Transaction<'_>) -> rusqlite::Result<()>,
-        sync: bool,
-    ) -> Result<(), SpoolError> {
+    /// Writes the events after the `old` ones and the head, and deletes the confirmed events, in one transaction; syncs on request. After a failure all
+    /// events are written again.
+    fn write(&mut self, old: usize, sync: bool) -> Result<(), SpoolError> {
         let Self { database, head, kept, has_failed, .. } = self;
         let last = head.first + kept.len() as u64 - 1;
         let all = std::mem::replace(has_failed, true);
@@ -317,15 +296,9 @@ impl Spool {
             tracing::error!("the damaged spool was set aside, and a new one has the narrations; is the disk failing?");
         }
         let write = |transaction: &Transaction<'_>| {
-            if all {
-                transaction.execute("DELETE FROM narration", [])?;
-                kept.iter().try_for_each(|kept| insert(transaction, head.epoch, kept))?;
-            } else {
-                work(transaction)?;
-                transaction
-                    .prepare_cached("DELETE FROM narration WHERE sequence < ?1")?
-                    .execute([head.first as i64])?;
-            }
+            let (old, first) = if all { (0, i64::MAX) } else { (old, head.first.cast_signed()) };
+            transaction.prepare_cached("DELETE FROM narration WHERE sequence < ?1")?.execute([first])?;
+            kept.range(old..).try_for_each(|kept| insert(transaction, head.epoch, kept))?;
             write_head(transaction, head, last)
         };
         let written = if sync { database.write_synced(write) } else { database.write(write) };
@@ -357,7 +330,7 @@ impl Spool {
         let new = self.head.first.saturating_sub(first);
         if new >= NOTE_EACH || (new > 0 && now_ns.saturating_sub(at_ns) >= NOTE_NS) {
             self.noted.1 = now_ns;
-            self.write(|_| Ok(()), false)?;
+            self.write(self.kept.len(), false)?;
         }
         Ok(())
     }
@@ -567,7 +540,7 @@ mod tests {
         for _ in 0..count {
             let mut input = spool.input().unwrap_or_default();
             input.at += 10;
-            spool.append(vec![Dated::new(observation("They sit."), 7, Some(input))]).unwrap();
+            spool.append(vec![Kept::new(observation("They sit."), 7, Some(input))]).unwrap();
         }
     }
 
@@ -650,7 +623,7 @@ mod tests {
         append(&mut spool, 5);
         let other = rusqlite::Connection::open(folder.path().join(FILE)).unwrap();
         other.execute_batch("BEGIN IMMEDIATE").unwrap();
-        spool.append(vec![Dated::new(observation("They sit."), 0, None)]).unwrap_err();
+        spool.append(vec![Kept::new(observation("They sit."), 0, None)]).unwrap_err();
         assert_eq!(spool.last(), 5, "a narration that is not on the disk is not kept");
         other.execute_batch("ROLLBACK").unwrap();
         append(&mut spool, 1);
@@ -662,7 +635,7 @@ mod tests {
     fn narrations_that_wait_for_the_disk_keep_their_age() {
         let folder = tempfile::tempdir().unwrap();
         let mut spool = open(folder.path());
-        let dated = Dated::new(observation("They sit."), 7, None);
+        let dated = Kept::new(observation("They sit."), 7, None);
         // Time of the real clock passes for it.
         std::thread::sleep(std::time::Duration::from_millis(5));
         spool.append(vec![dated]).unwrap();
@@ -697,7 +670,7 @@ mod tests {
         let mut spool = open(folder.path());
         let hour_ns = 3_600_000_000_000;
         let ages = [0, 60_000_000_000, clock::monotonic_ns() + hour_ns, clock::monotonic_ns() + 72 * hour_ns];
-        spool.append(ages.map(|age_ns| Dated::new(observation("They sit."), age_ns, None)).into()).unwrap();
+        spool.append(ages.map(|age_ns| Kept::new(observation("They sit."), age_ns, None)).into()).unwrap();
         for (number, age_ns) in (1..).zip(ages) {
             let since_ns = spool.age_ns(spool.get(number).unwrap()).saturating_sub(age_ns);
             assert!(since_ns < 60_000_000_000, "{age_ns}: {since_ns}");
@@ -759,7 +732,7 @@ mod tests {
         append(&mut spool, 130);
         assert_eq!((spool.first(), spool.last()), (31, 130));
         for _ in 0..50 {
-            let dated = || Dated::new(observation("They sit."), 0, None);
+            let dated = || Kept::new(observation("They sit."), 0, None);
             spool.append((0..100).map(|_| dated()).collect()).unwrap();
             spool.confirm(spool.last()).unwrap();
         }
