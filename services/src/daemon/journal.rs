@@ -3,13 +3,13 @@
 //! Observations are kept as they came. The daemon's attribution and the model's expectation are kept with them, so that a restarted daemon believes
 //! the same. Events from before a change of the map are not read with the new map: a belief keeps their result.
 //!
-//! A commit outlives the daemon at once; a power loss takes at most the last [`JournalOptions::sync_ms`]. The tables are in `journal/schema.sql`,
+//! A commit outlives the daemon at once; a power loss takes at most the time between two syncs. The tables are in `journal/schema.sql`,
 //! and its migrations in the other `.sql` files, in the order of `SCHEMA` below.
 
 use std::fs;
 use std::io;
 use std::ops::Deref;
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -52,17 +52,6 @@ pub const SCHEMA: Schema = Schema {
 };
 /// Records that may wait for the disk before the sender does.
 const QUEUE: usize = 8_192;
-
-/// Where and how the journal is kept.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct JournalOptions {
-    /// The state directory.
-    pub directory: PathBuf,
-    /// Most bytes of events, about.
-    pub bytes_max: u64,
-    /// Milliseconds between two syncs to the disk.
-    pub sync_ms: u64,
-}
 
 /// The threads' view of the journal.
 #[derive(Debug, Default)]
@@ -109,18 +98,16 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Opens or begins the database and reads it.
+    /// Opens or begins the database in the state directory and reads it. Its events have about `bytes_max` at most.
     ///
     /// # Errors
     ///
     /// [`JournalError`]; damage is no error.
-    pub fn open(options: &JournalOptions) -> Result<(Self, Recovered), JournalError> {
-        let directory = &options.directory;
+    pub fn open(directory: &Path, bytes_max: u64, sync_every: Duration) -> Result<(Self, Recovered), JournalError> {
         let path = directory.join(FILE);
         let opened = Database::open(&path, SCHEMA)?;
-        let (mut writer, recovered) = Writer::open(opened, Some(directory.clone()), options.bytes_max, &boot_id())
+        let (mut writer, recovered) = Writer::open(opened, Some(directory.to_owned()), bytes_max, &boot_id())
             .map_err(|source| JournalError::Sqlite(path.clone(), source))?;
-        let sync_every = Duration::from_millis(options.sync_ms.max(1));
         let handle = JournalHandle { progress: Arc::clone(&writer.progress) };
         let (work, queue) = bounded(QUEUE);
         handle.sink().work = Some(work);
@@ -329,7 +316,7 @@ fn boot_id() -> [u8; 16] {
 ///
 /// # Errors
 /// When there is none, or it cannot be read.
-pub fn look(directory: &std::path::Path) -> Result<Recovered, Error> {
+pub fn look(directory: &Path) -> Result<Recovered, Error> {
     store::recover(&roomcast_database::look(&directory.join(FILE))?.transaction()?)
 }
 

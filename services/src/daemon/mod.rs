@@ -74,7 +74,7 @@ pub use engine::{Engine, EngineError, Entry, MapError};
 pub use habits::{HomeHabits, Memory};
 pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, VisitsLine};
 pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
-pub use journal::{HabitRows, Journal, JournalError, JournalHandle, JournalOptions, KeptPerson, Recovered};
+pub use journal::{HabitRows, Journal, JournalError, JournalHandle, KeptPerson, Recovered};
 pub use map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 pub use person_question::{
     By, NoisySensor, PersonAnswer, PersonLine, PersonQuestion, PlaceLine, UNDERSTOOD_MAX, UnderstoodLine,
@@ -91,9 +91,11 @@ const SUPERVISE: Duration = Duration::from_millis(500);
 const CLEAN_UP_NS: u64 = 1_000_000_000;
 const LOG_INTERVAL_NS: u64 = 5_000_000_000;
 
-fn journal_options(config: &DaemonConfig) -> Option<JournalOptions> {
-    let directory = config.state_directory()?;
-    Some(JournalOptions { directory, bytes_max: config.journal_bytes, sync_ms: config.journal_sync_ms })
+/// The journal and its content; none without a state directory.
+fn open_journal(config: &DaemonConfig) -> Result<(Option<Journal>, Recovered), JournalError> {
+    let Some(directory) = config.state_directory() else { return Ok((None, Recovered::default())) };
+    let sync_every = Duration::from_millis(config.journal_sync_ms.max(1));
+    Journal::open(&directory, config.journal_bytes, sync_every).map(|(journal, recovered)| (Some(journal), recovered))
 }
 
 /// Why the daemon ended or failed to start.
@@ -181,9 +183,7 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let ports = Ports::open(&node)?;
     let narration = node.subscriber::<NarrationV1>()?;
     let (handle, prefetching) = prefetch_thread::pair(config.scoring.prepare_share, config.scoring.prepare_on_battery);
-    let opened = journal_options(&config.daemon).map(|options| Journal::open(&options)).transpose()?;
-    let (journal, mut recovered) =
-        opened.map_or((None, Recovered::default()), |(journal, recovered)| (Some(journal), recovered));
+    let (journal, mut recovered) = open_journal(&config.daemon)?;
     let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal.as_ref().map(Journal::handle));
     let habits = recovered.habits.take();
     let Some(loaded) = stop.while_loading(|| load(config, names, habits, model, prefetching.is_stopped())) else {

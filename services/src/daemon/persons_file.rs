@@ -123,7 +123,7 @@ fn check(persons: &[KeptPerson]) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::{Journal, JournalOptions};
+    use crate::daemon::Journal;
 
     fn kept(number: u32, name: &str) -> KeptPerson {
         KeptPerson { number: PersonId(number), name: name.to_owned(), resident: None, former: Vec::new() }
@@ -132,8 +132,7 @@ mod tests {
     #[test]
     fn names_outlive_the_daemon() {
         let directory = tempfile::tempdir().unwrap();
-        let options = JournalOptions { directory: directory.path().into(), bytes_max: 1 << 20, sync_ms: 1000 };
-        let (journal, recovered) = Journal::open(&options).unwrap();
+        let (journal, recovered) = Journal::open(directory.path(), 1 << 20, Duration::from_secs(1)).unwrap();
         let mut file = PersonsFile::new(recovered.persons, Some(journal.handle()));
         assert!(file.persons().is_empty());
         let ada = KeptPerson { resident: Some(true), ..kept(3, "Ada") };

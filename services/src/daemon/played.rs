@@ -10,7 +10,7 @@ use roomcast_ipc::raw::{DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, 
 use roomcast_llama::LlamaModel;
 
 use super::{
-    Cycle, Entry, Intake, Journal, Loaded, PersonsFile, SentenceCost, Taken, Zone, journal, journal_options, load,
+    Cycle, Entry, Intake, Journal, Loaded, PersonsFile, SentenceCost, Taken, Zone, journal, load, open_journal,
 };
 use crate::config::Config;
 use crate::fleet_day::{self, Outcome, ROBOTS, Track};
@@ -31,8 +31,8 @@ struct Daemon {
 
 impl Daemon {
     fn start(config: &Config, now_ns: BootNs, now_unix_ns: UnixNs) -> Self {
-        let options = journal_options(&config.daemon).unwrap();
-        let (journal, mut recovered) = Journal::open(&options).unwrap();
+        let (journal, mut recovered) = open_journal(&config.daemon).unwrap();
+        let journal = journal.unwrap();
         let names = PersonsFile::new(std::mem::take(&mut recovered.persons), Some(journal.handle()));
         let Loaded { engine, token_counter, .. } =
             load(config, names, recovered.habits.take(), setup::configured_model, Arc::new(|| true)).unwrap();

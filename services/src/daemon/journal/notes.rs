@@ -17,8 +17,7 @@ impl Default for Notes {
     fn default() -> Self {
         // A sync takes no time there.
         let folder = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
-        let options = JournalOptions { directory: folder.path().to_owned(), bytes_max: u64::MAX, sync_ms: 1000 };
-        let (journal, _) = Journal::open(&options).unwrap();
+        let (journal, _) = Journal::open(folder.path(), u64::MAX, Duration::from_secs(1)).unwrap();
         Self { journal, folder, records: Vec::new() }
     }
 }
@@ -50,7 +49,7 @@ impl Notes {
 }
 
 /// All bytes of a folder's files, as text.
-pub(in crate::daemon) fn text_of(folder: &std::path::Path) -> String {
+pub(in crate::daemon) fn text_of(folder: &Path) -> String {
     let files = fs::read_dir(folder).unwrap().map(|file| fs::read(file.unwrap().path()).unwrap());
     files.map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).collect()
 }

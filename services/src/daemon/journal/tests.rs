@@ -1,7 +1,6 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
-use std::path::Path;
 
 use roomcast_core::forecast::PACES;
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
@@ -22,8 +21,8 @@ fn observation(sequence: u64) -> Observation {
     Observation { observed_ns, observed_unix_ns, ..own }
 }
 
-fn options(directory: &Path, bytes_max: u64) -> JournalOptions {
-    JournalOptions { directory: directory.to_owned(), bytes_max, sync_ms: 1 }
+fn open(directory: &Path) -> Result<(Journal, Recovered), JournalError> {
+    Journal::open(directory, 1 << 20, Duration::from_millis(1))
 }
 
 fn writer(folder: &Path, bytes_max: u64) -> (Writer, Recovered) {
@@ -115,7 +114,7 @@ fn events_in_a_folder_that_was_made_again_are_not_kept() {
     let outer = tempfile::tempdir().unwrap();
     let state = outer.path().join("state");
     for is_made_again in [false, true] {
-        let (journal, _) = Journal::open(&options(&state, 1 << 20)).unwrap();
+        let (journal, _) = open(&state).unwrap();
         journal.append(&observation(1));
         if is_made_again {
             fs::rename(&state, outer.path().join("gone")).unwrap();
@@ -242,21 +241,19 @@ fn the_event_that_has_a_persons_name_stays() {
 #[test]
 fn two_daemons_cannot_share_it() {
     let directory = tempfile::tempdir().unwrap();
-    let options = options(directory.path(), 1 << 20);
-    let _first = Journal::open(&options).unwrap();
-    assert!(matches!(Journal::open(&options), Err(JournalError::Locked { .. })));
+    let _first = open(directory.path()).unwrap();
+    assert!(matches!(open(directory.path()), Err(JournalError::Locked { .. })));
 }
 
 /// Nothing of a forgotten person stays in file, log and free pages, and what a narrator sends again does not bring it back.
 #[test]
 fn a_forgotten_person_leaves_no_byte() {
     let directory = tempfile::tempdir().unwrap();
-    let options = options(directory.path(), 1 << 20);
     // Earlier versions, and damage, have left files that are full of them.
     for file in ["narration.journal", "narration.journal.old", "narration.journal.large-7", "roomcast.db.damaged-3"] {
         fs::write(directory.path().join(file), "Ada's secret 3.").unwrap();
     }
-    let (journal, _) = Journal::open(&options).unwrap();
+    let (journal, _) = open(directory.path()).unwrap();
     let handle = journal.handle();
     let of = |sequence: u64, name: &str| {
         let sentence = Sentence::new(&format!("They do secret {sequence}. {}", "and so on ".repeat(50))).unwrap();
@@ -287,7 +284,7 @@ fn a_forgotten_person_leaves_no_byte() {
     let last = journal.append(&of(121, "ben"));
     assert!(handle.wait_for(last, Duration::from_secs(30)));
     drop(journal);
-    let (_journal, recovered) = Journal::open(&options).unwrap();
+    let (_journal, recovered) = open(directory.path()).unwrap();
     let theirs = |o: &Observation| is_ada(o) || (o.by_fit && o.person == PersonId(1));
     assert!(!recovered.observations.iter().any(theirs) && recovered.observations.len() > 50);
     assert!(recovered.observations.iter().any(|o| o.by_fit && o.person == PersonId(2)));
@@ -403,7 +400,7 @@ fn a_damaged_database_is_set_aside() {
             _ => bytes[at..].iter_mut().take(300).for_each(|byte| *byte = byte.wrapping_mul(31).wrapping_add(7)),
         }
         fs::write(&path, &bytes).unwrap();
-        let (journal, recovered) = Journal::open(&options(directory.path(), 1 << 20)).unwrap();
+        let (journal, recovered) = open(directory.path()).unwrap();
         if let Some(set_aside) = &recovered.set_aside {
             assert_eq!(fs::read(&set_aside.path).unwrap().len(), bytes.len());
             aside += 1;
@@ -442,7 +439,7 @@ fn a_database_that_another_user_could_have_planted_is_refused() {
     use std::os::unix::fs::{PermissionsExt, symlink};
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join(FILE);
-    let refused = || matches!(Journal::open(&options(directory.path(), 8192)), Err(JournalError::Refused { .. }));
+    let refused = || matches!(open(directory.path()), Err(JournalError::Refused { .. }));
     for file in [path.clone(), directory.path().join("roomcast.db-wal"), directory.path().join("roomcast.db-shm")] {
         symlink("/dev/null", &file).unwrap();
         assert!(refused());
@@ -451,7 +448,7 @@ fn a_database_that_another_user_could_have_planted_is_refused() {
         assert!(refused());
         fs::remove_file(&file).unwrap();
     }
-    let (journal, _) = Journal::open(&options(directory.path(), 8192)).unwrap();
+    let (journal, _) = open(directory.path()).unwrap();
     journal.handle().append(Record::Gone { person: PersonId(1), after: None });
     drop(journal);
     for file in fs::read_dir(directory.path()).unwrap() {
@@ -506,7 +503,7 @@ fn the_old_journal_is_read_once() {
         fs::write(&old, &older).unwrap();
         fs::write(&new, &current).unwrap();
         for _ in 0..2 {
-            let (_journal, recovered) = Journal::open(&options(directory.path(), 1 << 20)).unwrap();
+            let (_journal, recovered) = open(directory.path()).unwrap();
             let said: Vec<_> =
                 recovered.observations.iter().map(|o| (o.sequence, o.event.to_string(), o.person.0)).collect();
             let expected = [(2, "away", 3), (4, "They walk.", 3), (5, "present in the kitchen", 9)];
