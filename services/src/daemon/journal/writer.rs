@@ -261,7 +261,7 @@ impl Writer {
             self.database.make_room().or_else(|error| if is_full(&error) { Ok(()) } else { Err(error) })?;
         }
         let Self { database, queue, habits, persons, .. } = self;
-        let (known, nothing) = (habits.as_ref().filter(|habits| !habits.is_damaged()), HabitRows::default());
+        let known = habits.as_ref().filter(|habits| !habits.is_damaged());
         let before = known.filter(|_| !is_again);
         let rows = new.as_ref().or(known.filter(|_| is_again));
         database.write(|transaction| {
@@ -269,11 +269,7 @@ impl Writer {
             if is_again {
                 store::write_persons(transaction, persons)?;
             }
-            let Some(rows) = rows else { return Ok(()) };
-            if before.is_none() {
-                HabitRows::clear(transaction)?;
-            }
-            rows.write(transaction, before.unwrap_or(&nothing))
+            rows.map_or(Ok(()), |rows| rows.write(transaction, before))
         })?;
         *habits = new.or(habits.take());
         self.bytes += queue.unwritten().map(|(_, record)| record.bytes()).sum::<u64>();
