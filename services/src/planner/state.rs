@@ -34,17 +34,13 @@ pub struct KeptRound {
     map: String,
     began_ns: Option<BootNs>,
     /// Due time of the previous round.
-    #[serde(default)]
     due_ns: Option<BootNs>,
     done: Vec<String>,
     /// Rooms that the robot could not do, with the time of the failure.
-    #[serde(default)]
     failed: Vec<(String, BootNs)>,
-    /// Failures in a row of each of these rooms; 1 in files of older versions.
-    #[serde(default)]
+    /// Failures in a row of each of these rooms.
     failures: Vec<u32>,
     /// Rooms that were left to a person.
-    #[serde(default)]
     held: Vec<String>,
     room: Option<String>,
     work: Option<KeptWork>,
@@ -52,13 +48,10 @@ pub struct KeptRound {
     battery: Option<f64>,
     charges: bool,
     /// The minute in which a charging robot was last heard.
-    #[serde(default)]
     heard_ns: Option<BootNs>,
     /// Per epoch of a reporter, the newest report of work or dock in this round.
-    #[serde(default)]
     told: Vec<(u64, u64)>,
     /// Failures in a row before the robot began, and the end of its pause.
-    #[serde(default)]
     trouble: (u32, BootNs),
 }
 
@@ -72,13 +65,7 @@ struct KeptWork {
     waits: bool,
     started: bool,
     /// The room was probably empty when work began, or its persons left since: a person there came later.
-    #[serde(default = "yes")]
     alone: bool,
-}
-
-/// Older versions did not store it: a person in the room then interrupts.
-fn yes() -> bool {
-    true
 }
 
 impl Planner {
@@ -129,8 +116,7 @@ impl Planner {
         for done in kept.done.iter().filter_map(|id| room(id)) {
             self.round.cover(done);
         }
-        for ((failed, failed_ns), failures) in kept.failed.iter().zip(kept.failures.iter().chain(std::iter::repeat(&1)))
-        {
+        for ((failed, failed_ns), failures) in kept.failed.iter().zip(&kept.failures) {
             room(failed).into_iter().for_each(|room| self.round.restore_failed(room, *failed_ns, *failures));
         }
         kept.held.iter().filter_map(|id| room(id)).for_each(|room| self.interruption.hold(room));
@@ -152,8 +138,7 @@ impl Planner {
         robot.reports_work = kept.reports_work;
         robot.restore_told(&kept.told);
         robot.restore_trouble(kept.trouble);
-        // Older versions stored no time: a charging robot counts as heard when the round is restored.
-        robot.heard_ns = kept.heard_ns.or(kept.charges.then_some(BootNs(scores.published_ns)));
+        robot.heard_ns = kept.heard_ns;
         (robot.battery, robot.charges) = (kept.battery, kept.charges && kept.battery.is_some());
     }
 
@@ -181,7 +166,7 @@ impl Database {
 
     /// The stored round of this boot. After a reboot the robot begins another round.
     pub(super) fn round(&mut self) -> Option<KeptRound> {
-        let kept: KeptRound = self.kept.load("round", &self.kept.path().with_extension("json"))?;
+        let kept: KeptRound = self.kept.load("round")?;
         let now_ns = clock::monotonic_ns();
         let mut times = kept.failed.iter().map(|(_, failed_ns)| *failed_ns).chain(kept.began_ns).chain(kept.heard_ns);
         let past = times.all(|past_ns| past_ns <= now_ns);
@@ -201,8 +186,7 @@ impl Database {
 
     /// The orders, which outlive a reboot.
     pub(super) fn orders(&mut self) -> Orders {
-        let old = format!("{}-orders.json", self.kept.path().with_extension("").display());
-        self.kept.load("orders", old.as_ref()).unwrap_or_default()
+        self.kept.load("orders").unwrap_or_default()
     }
 
     /// Writes a changed round and changed orders. The round needs no sync: it is valid for one boot, which ends when power fails. A hold survives that.
@@ -239,9 +223,6 @@ mod tests {
             again.round.failed().collect::<Vec<_>>()
         };
         assert_eq!(restored(&kept), [(0, BootNs(5), 3)]);
-        let older = kept.replace("\"failures\":[3],", "");
-        assert!(older != kept);
-        assert_eq!(restored(&older), [(0, BootNs(5), 1)]);
     }
 
     #[test]
@@ -268,14 +249,11 @@ mod tests {
     }
 
     #[test]
-    fn orders_outlive_a_reboot_and_an_update() {
+    fn orders_outlive_a_reboot() {
         let directory = tempfile::tempdir().unwrap();
         let open = |robot| Database::new(directory.path(), robot);
         let mut orders = Orders::default();
         orders.skip("hall", 300);
-        let old = directory.path().join("planner-0000000000000007-orders.json");
-        std::fs::write(&old, serde_json::to_vec(&orders).unwrap()).unwrap();
-        assert_eq!(open(7).orders(), orders);
         orders.ask("kitchen", 200);
         open(7).keep(&Planner::new(&PlannerConfig::default(), 1).with_orders(orders.clone()));
         assert_eq!(open(7).orders(), orders);

@@ -1000,27 +1000,6 @@ fn work_after_the_last_round_is_interrupted_too() {
     assert_eq!(home.look(121), None);
 }
 
-/// A file of an older version says that the robot charges, but not the time of its last report: its charging time begins with the restart.
-#[test]
-fn a_robot_that_charges_is_kept_in_by_an_older_round_too() {
-    let config = PlannerConfig::default();
-    let mut home = Home::new(2, &config);
-    let first = home.decision(50_000);
-    home.answer(50_001, report_kind::BLOCKED, &first);
-    home.report(50_002, report_kind::BATTERY, |report| {
-        (report.battery, report.flags) = (0.05, report.flags | report_flags::HAS_BATTERY);
-    });
-    home.report(50_003, report_kind::DOCKED, |_| ());
-    assert_eq!(home.decision(50_003).action, action::PAUSE);
-    let mut kept = serde_json::to_value(home.planner.kept("boot").unwrap()).unwrap();
-    kept.as_object_mut().unwrap().remove("heard_ns").unwrap();
-    home.planner = Planner::new(&config, 2).with_kept(serde_json::from_value(kept).unwrap());
-    assert_eq!(home.decision(50_100).action, action::PAUSE);
-    assert_eq!(home.look(50_100 + 14_399), None);
-    let out = home.decision(50_100 + 14_400);
-    assert!(out.action == action::GO && out.has(decision_flags::ROBOT_SILENT), "{}", out.reason());
-}
-
 /// Without work the robot is not sent to work, even if it is to wait in another room.
 #[test]
 fn a_room_to_wait_in_is_no_room_to_work_in() {
