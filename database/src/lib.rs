@@ -51,17 +51,6 @@ pub enum DatabaseError {
     Sqlite(PathBuf, #[source] rusqlite::Error),
 }
 
-/// A database that was set aside because it is damaged.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct SetAside {
-    /// Its new place.
-    pub path: PathBuf,
-    /// The damage.
-    pub reason: String,
-    /// Rows that the new database has from it.
-    pub rows: usize,
-}
-
 /// The place of a database.
 #[derive(Debug)]
 enum Place {
@@ -95,7 +84,7 @@ impl Database {
     ///
     /// # Errors
     /// [`DatabaseError`]; damage is no error.
-    pub fn open(path: &Path, schema: Schema) -> Result<(Self, Option<SetAside>), DatabaseError> {
+    pub fn open(path: &Path, schema: Schema) -> Result<Self, DatabaseError> {
         // SQLite follows no links: only the folder may have some.
         let folder = path.parent().unwrap_or(Path::new("."));
         let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(folder);
@@ -110,21 +99,21 @@ impl Database {
     ///
     /// # Errors
     /// As [`Database::open`].
-    pub fn open_simulated(simulation: Simulation, schema: Schema) -> Result<(Self, Option<SetAside>), DatabaseError> {
+    pub fn open_simulated(simulation: Simulation, schema: Schema) -> Result<Self, DatabaseError> {
         Self::open_at(PathBuf::from("simulated"), schema, Place::Simulated(simulation))
     }
 
-    fn open_at(path: PathBuf, schema: Schema, place: Place) -> Result<(Self, Option<SetAside>), DatabaseError> {
+    fn open_at(path: PathBuf, schema: Schema, place: Place) -> Result<Self, DatabaseError> {
         let mut database = Self { connection: None, path, schema, place };
-        let aside = database.reopen()?;
-        Ok((database, aside))
+        database.reopen()?;
+        Ok(database)
     }
 
     /// Closes and reopens it, as after a kill. A damaged database is set aside, and a new one begins.
     ///
     /// # Errors
     /// [`DatabaseError`]; the next call tries again.
-    pub fn reopen(&mut self) -> Result<Option<SetAside>, DatabaseError> {
+    pub fn reopen(&mut self) -> Result<(), DatabaseError> {
         self.connection = None;
         // A single read may be wrong, so the second attempt decides. SQLite opens a newer file format read-only, although this file is writable.
         let connected = self.connect().or_else(|error| match error.sqlite_error_code() {
@@ -133,33 +122,32 @@ impl Database {
             _ => Err(error),
         });
         match connected {
-            Ok(connection) => {
-                self.connection = Some(connection);
-                Ok(None)
-            }
-            Err(error) if is_damage(&error) => self.start_anew(&error).map(Some),
-            Err(source) => Err(DatabaseError::Sqlite(self.path.clone(), source)),
+            Ok(connection) => self.connection = Some(connection),
+            Err(error) if is_damage(&error) => self.start_anew(&error)?,
+            Err(source) => return Err(DatabaseError::Sqlite(self.path.clone(), source)),
         }
+        Ok(())
     }
 
-    /// Sets a damaged database aside, and begins a new one.
+    /// Sets a damaged database aside, and begins a new one with the rows that can be read. The log says so.
     ///
     /// # Errors
     /// [`DatabaseError`].
-    pub fn start_anew(&mut self, damage: &rusqlite::Error) -> Result<SetAside, DatabaseError> {
+    pub fn start_anew(&mut self, damage: &rusqlite::Error) -> Result<(), DatabaseError> {
         self.connection = None;
-        let path = self.set_aside()?;
+        let aside = self.set_aside()?;
         let connection = self.connect().map_err(|source| DatabaseError::Sqlite(self.path.clone(), source))?;
         self.connection = Some(connection);
-        let rows = self.salvage(&path).unwrap_or_default();
-        Ok(SetAside { path, reason: damage.to_string(), rows })
+        let rows = self.salvage(&aside).unwrap_or_default();
+        tracing::error!(
+            path = %aside.display(), reason = %damage, rows,
+            "a damaged database was set aside, and a new one has the rows that could be read; is the disk failing?"
+        );
+        Ok(())
     }
 
     /// Copies the rows of a damaged database of the same version, from both ends of each table as far as they can be read.
     fn salvage(&mut self, path: &Path) -> rusqlite::Result<usize> {
-        if matches!(self.place, Place::Simulated(_)) {
-            return Ok(0);
-        }
         let damaged =
             Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX)?;
         damaged.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
@@ -278,9 +266,6 @@ impl Database {
     /// # Errors
     /// When the folder cannot be written.
     pub fn remove_set_aside(&self) -> io::Result<()> {
-        if matches!(self.place, Place::Simulated(_)) {
-            return Ok(());
-        }
         for number in 1..=ASIDE_MAX {
             for suffix in ["", "-wal", "-shm"] {
                 remove(&with_suffix(&self.path, &format!(".damaged-{number}{suffix}")))?;

@@ -69,11 +69,7 @@ impl Kept {
 
     fn open(&mut self) -> Result<&mut Database, DatabaseError> {
         if self.database.is_none() {
-            let (database, set_aside) = Database::open(&self.path, self.schema)?;
-            if let Some(aside) = set_aside {
-                tracing::error!(reason = aside.reason, path = %aside.path.display(), "a damaged database was set aside, and a new one begins");
-            }
-            self.database = Some(database);
+            self.database = Some(Database::open(&self.path, self.schema)?);
         }
         self.database.as_mut().ok_or_else(|| DatabaseError::Locked(self.path.clone()))
     }

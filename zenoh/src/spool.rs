@@ -173,20 +173,17 @@ impl Spool {
         if !path.exists() {
             begin(&path, read_old(folder).map_err(failed("read the queue of an earlier version before"))?)?;
         }
-        let (mut database, mut set_aside) = Database::open(&path, SCHEMA)?;
+        let mut database = Database::open(&path, SCHEMA)?;
         let failed_sqlite = |source| SpoolError::Sqlite(path.clone(), source);
         let found = match read(&database) {
             Err(error) if is_damage(&error) => {
-                set_aside = Some(database.start_anew(&error)?);
+                database.start_anew(&error)?;
                 read(&database)
             }
             found => found,
         };
         let Found { head, kept, given_up } = found.map_err(failed_sqlite)?;
         let path = path.display();
-        if let Some(reason) = set_aside.map(|aside| aside.reason) {
-            tracing::error!(%path, reason, "the spool is damaged and was set aside; is the disk failing?");
-        }
         if given_up > 0 {
             tracing::error!(%path, given_up, "the spool is damaged: narrations before the damage are given up; is the disk failing?");
         }
@@ -292,8 +289,8 @@ impl Spool {
         let Self { database, head, kept, has_failed, .. } = self;
         let last = head.first + kept.len() as u64 - 1;
         let all = std::mem::replace(has_failed, true);
-        if all && database.reopen()?.is_some() {
-            tracing::error!("the damaged spool was set aside, and a new one has the narrations; is the disk failing?");
+        if all {
+            database.reopen()?;
         }
         let write = |transaction: &Transaction<'_>| {
             let (old, first) = if all { (0, i64::MAX) } else { (old, head.first.cast_signed()) };
@@ -357,7 +354,7 @@ impl Spool {
 fn begin(path: &Path, old: Option<Found>) -> Result<(), SpoolError> {
     let found = old.unwrap_or_else(|| Found { head: Some(Head::new(Some(Place::default()))), ..Found::default() });
     let unfinished = path.with_extension("new");
-    let (mut database, _) = Database::open(&unfinished, SCHEMA)?;
+    let mut database = Database::open(&unfinished, SCHEMA)?;
     let written = database.write(|transaction| {
         transaction.execute_batch("DELETE FROM head; DELETE FROM narration")?;
         let Some(head) = &found.head else { return Ok(()) };

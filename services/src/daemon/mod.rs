@@ -41,7 +41,6 @@ use roomcast_core::guess::Counts;
 use roomcast_core::habits::HabitsOptions;
 use roomcast_core::ids::BootNs;
 use roomcast_core::scorer::{IsStopped, LanguageModel, ModelInfo, TokenCounter};
-use roomcast_database::SetAside;
 use roomcast_llama::LlamaModel;
 use roomcast_llama::affinity::{self, AffinityError};
 use roomcast_llama::memory;
@@ -364,7 +363,6 @@ fn first_tally<M: LanguageModel>(engine: &Engine<M>, restored: u64) -> StatusRes
 /// Restores the events of a former run. Returns their number.
 fn restore<M: LanguageModel>(recovered: Recovered, cycle: &mut Cycle<M>, intake: &mut Intake) -> u64 {
     let (restored, damaged) = (recovered.observations.len() as u64, recovered.damaged);
-    let set_aside = recovered.set_aside.clone();
     let costly = cycle.restore(recovered, intake, clock::monotonic_ns(), clock::unix_ns());
     if costly > 0 {
         let most = cycle.engine().sentence_tokens_max();
@@ -374,14 +372,6 @@ fn restore<M: LanguageModel>(recovered: Recovered, cycle: &mut Cycle<M>, intake:
         );
     }
     tracing::info!(restored, damaged, "state database read");
-    if let Some(SetAside { path, reason, rows }) = set_aside {
-        tracing::error!(
-            reason,
-            rows,
-            path = %path.display(),
-            "the state database is damaged and was set aside: a new one begins with the rows that could be read, and other events are lost"
-        );
-    }
     if damaged > 0 {
         tracing::warn!(damaged, "events of the state database are damaged, and were left out");
     }

@@ -4,7 +4,6 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 
 use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::Observation;
-use roomcast_database::SetAside;
 use roomcast_ipc::Sender as Port;
 
 use super::learned::HabitRows;
@@ -36,8 +35,6 @@ pub struct Recovered {
     pub habits: Option<HabitRows>,
     /// Events that cannot be read.
     pub damaged: u64,
-    /// A damaged database that a new one has replaced.
-    pub set_aside: Option<SetAside>,
 }
 
 impl Recovered {

@@ -7,7 +7,7 @@ use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use roomcast_database::rusqlite::{Error, ErrorCode};
-use roomcast_database::{Database, DatabaseError, SetAside, Transaction, is_damage};
+use roomcast_database::{Database, DatabaseError, Transaction, is_damage};
 
 use roomcast_core::ids::PersonId;
 
@@ -20,15 +20,6 @@ use crate::daemon::habits::Memory;
 
 /// Silence before a sync.
 const QUIET_BEFORE_SYNC: Duration = Duration::from_millis(100);
-
-fn tell_of(SetAside { path, reason, rows }: &SetAside) {
-    tracing::error!(
-        reason,
-        rows,
-        path = %path.display(),
-        "the state database is damaged and was set aside: the new one has the rows that could be read, and the events since the last sync"
-    );
-}
 
 /// The error inside.
 fn inner(error: DatabaseError) -> Error {
@@ -138,7 +129,7 @@ impl Writer {
     /// # Errors
     /// When the database cannot be read; rows that are damaged are no error.
     pub fn open(
-        (database, set_aside): (Database, Option<SetAside>),
+        database: Database,
         directory: Option<PathBuf>,
         bytes_max: u64,
         boot_id: &[u8; 16],
@@ -161,10 +152,10 @@ impl Writer {
         };
         let recovered = match writer.start() {
             Err(error) if is_damage(&error) => {
-                let set_aside = writer.database.start_anew(&error).map_err(inner)?;
-                Recovered { set_aside: Some(set_aside), ..writer.start()? }
+                writer.database.start_anew(&error).map_err(inner)?;
+                writer.start()?
             }
-            started => Recovered { set_aside, ..started? },
+            started => started?,
         };
         writer.tell_bytes();
         Ok((writer, recovered))
@@ -280,8 +271,7 @@ impl Writer {
 
     /// Opens the database again: SQLite drops the damaged end of the log.
     fn reopen(&mut self) -> Result<(), Error> {
-        let set_aside = self.database.reopen().map_err(inner)?;
-        set_aside.iter().for_each(tell_of);
+        self.database.reopen().map_err(inner)?;
         self.begin()
     }
 
@@ -297,11 +287,11 @@ impl Writer {
 
     /// After an error that says damage, the database is opened again with the next records. If the damage stays, a new database begins.
     fn recover_from(&mut self, error: &Error) {
-        if self.lacks_pages && is_damage(error) {
-            match self.database.start_anew(error) {
-                Ok(set_aside) => tell_of(&set_aside),
-                Err(error) => tracing::error!(%error, "the damaged state database cannot be set aside"),
-            }
+        if self.lacks_pages
+            && is_damage(error)
+            && let Err(error) = self.database.start_anew(error)
+        {
+            tracing::error!(%error, "the damaged state database cannot be set aside");
         }
         self.lacks_pages |= match error.sqlite_error_code() {
             Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => false,
