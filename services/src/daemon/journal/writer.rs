@@ -110,11 +110,11 @@ pub struct Writer {
     boot_id: [u8; 16],
     queue: Queue,
     /// A sync has failed, and its records are not written again yet. Until then a sync that succeeds proves nothing.
-    lacks_pages: bool,
+    pub lacks_pages: bool,
     /// Deleted data is still in file or log: another program reads the database, or the disk has refused.
     is_to_erase: bool,
-    /// Events that trims have deleted.
-    trimmed: usize,
+    /// Events that were deleted because there were too many.
+    pub trimmed: usize,
     /// The habits in the database; `None` if they were never written.
     habits: Option<HabitRows>,
     /// The persons in the database.
@@ -405,18 +405,6 @@ impl Writer {
     /// Whether there is work that the disk refused.
     pub(super) fn is_behind(&self) -> bool {
         self.queue.written < self.queue.records.len() || self.lacks_pages || self.is_to_erase
-    }
-
-    /// Events that were deleted because there were too many.
-    #[must_use]
-    pub fn trimmed(&self) -> usize {
-        self.trimmed
-    }
-
-    /// A sync has failed, and its records are not written again.
-    #[must_use]
-    pub fn lacks_pages(&self) -> bool {
-        self.lacks_pages
     }
 
     /// Runs a statement, for a test that plants a fault.
