@@ -268,7 +268,10 @@ impl Database {
     pub fn remove_set_aside(&self) -> io::Result<()> {
         for number in 1..=ASIDE_MAX {
             for suffix in ["", "-wal", "-shm"] {
-                remove(&with_suffix(&self.path, &format!(".damaged-{number}{suffix}")))?;
+                match fs::remove_file(with_suffix(&self.path, &format!(".damaged-{number}{suffix}"))) {
+                    Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+                    _ => {}
+                }
             }
         }
         Ok(())
@@ -300,18 +303,11 @@ impl Database {
         Ok(done)
     }
 
-    /// Syncs all commits to the disk. After a failure the system may treat lost pages as written: call [`Database::reopen`], and write them again.
+    /// Runs work in one transaction, which is on the disk afterwards, with all commits before it. After a failure the system may treat lost pages as
+    /// written: call [`Database::reopen`], and write them again.
     ///
     /// # Errors
-    /// When the disk refuses, or the file was moved or removed.
-    pub fn sync(&mut self) -> rusqlite::Result<()> {
-        self.write_synced(count_sync)
-    }
-
-    /// Runs work in one transaction, which is on the disk afterwards, with all commits before it.
-    ///
-    /// # Errors
-    /// As [`Database::write`] and [`Database::sync`].
+    /// As [`Database::write`], and when the file was moved or removed.
     pub fn write_synced<T>(
         &mut self,
         work: impl FnOnce(&Transaction<'_>) -> rusqlite::Result<T>,
@@ -328,13 +324,9 @@ impl Database {
         Ok(done)
     }
 
-    fn checkpoint(&self, mode: &str) -> rusqlite::Result<()> {
-        let busy: i64 =
-            self.connection()?.query_row(&format!("PRAGMA wal_checkpoint({mode})"), [], |row| row.get(0))?;
-        if busy != 0 && mode == "TRUNCATE" {
-            return Err(sqlite_error(rusqlite::ffi::SQLITE_BUSY, "another program reads the database"));
-        }
-        Ok(())
+    /// Copies the log into the file; gives whether another program has kept it from that.
+    fn checkpoint(&self, mode: &str) -> rusqlite::Result<bool> {
+        self.connection()?.query_row(&format!("PRAGMA wal_checkpoint({mode})"), [], |row| row.get(0))
     }
 
     /// Removes all deleted data from file and log.
@@ -343,7 +335,9 @@ impl Database {
     /// When the disk refuses, or another program reads the database for long.
     pub fn erase(&mut self) -> rusqlite::Result<()> {
         self.connection()?.execute_batch("VACUUM")?;
-        self.checkpoint("TRUNCATE")?;
+        if self.checkpoint("TRUNCATE")? {
+            return Err(sqlite_error(rusqlite::ffi::SQLITE_BUSY, "another program reads the database"));
+        }
         self.require_name()
     }
 
@@ -352,7 +346,7 @@ impl Database {
     /// # Errors
     /// When the disk refuses.
     pub fn make_room(&self) -> rusqlite::Result<()> {
-        self.checkpoint("PASSIVE")
+        self.checkpoint("PASSIVE").map(|_| ())
     }
 
     fn wal_bytes(&self) -> u64 {
@@ -379,9 +373,8 @@ impl Database {
         if ours.ok().zip(there.ok()).is_some_and(is_same) {
             return Ok(());
         }
-        Err(refused(
-            "the file was removed, or its disk is gone, so the next start will not find what was written; restart the process, which makes a new one",
-        ))
+        let reason = "the file was removed, or its disk is gone, so the next start will not find what was written; restart the process, which makes a new one";
+        Err(sqlite_error(rusqlite::ffi::SQLITE_IOERR, reason))
     }
 }
 
@@ -455,10 +448,6 @@ fn damaged(reason: &str) -> rusqlite::Error {
     sqlite_error(rusqlite::ffi::SQLITE_CORRUPT, reason)
 }
 
-fn refused(reason: &str) -> rusqlite::Error {
-    sqlite_error(rusqlite::ffi::SQLITE_IOERR, reason)
-}
-
 fn sqlite_error(code: i32, reason: &str) -> rusqlite::Error {
     rusqlite::Error::SqliteFailure(rusqlite::ffi::Error::new(code), Some(reason.to_owned()))
 }
@@ -474,13 +463,6 @@ fn failed(path: &Path, operation: &'static str) -> impl FnOnce(io::Error) -> Dat
     move |source| DatabaseError::File(path, operation, source)
 }
 
-fn remove(path: &Path) -> io::Result<()> {
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => Ok(()),
-    }
-}
-
 /// Opens the file, or makes one that its owner alone may read.
 fn own_file(path: &Path) -> io::Result<File> {
     let no_link = rustix::fs::OFlags::NOFOLLOW.bits().cast_signed();
@@ -491,7 +473,11 @@ fn own_file(path: &Path) -> io::Result<File> {
 fn lock(path: &Path) -> Result<File, DatabaseError> {
     for suffix in ["", "-wal", "-shm"] {
         let path = with_suffix(path, suffix);
-        require_own(&path).map_err(|source| DatabaseError::Refused(path, source))?;
+        require_own(&path).map_err(|source| DatabaseError::Refused(path.clone(), source))?;
+        // Others could read a copy, as a backup makes one. A process that does not own the file cannot change that.
+        if fs::metadata(&path).is_ok_and(|found| found.permissions().mode() & 0o077 != 0) {
+            let _kept = fs::set_permissions(&path, fs::Permissions::from_mode(0o600));
+        }
     }
     let file = own_file(path).map_err(failed(path, "open"))?;
     let start = Instant::now();
@@ -503,13 +489,6 @@ fn lock(path: &Path) -> Result<File, DatabaseError> {
             return Err(DatabaseError::Locked(path.to_owned()));
         }
         std::thread::sleep(Duration::from_millis(5));
-    }
-    // Others could read a copy, as a backup makes one. A process that does not own the file cannot change that.
-    for suffix in ["", "-wal", "-shm"] {
-        let path = with_suffix(path, suffix);
-        if fs::metadata(&path).is_ok_and(|found| found.permissions().mode() & 0o077 != 0) {
-            let _kept = fs::set_permissions(&path, fs::Permissions::from_mode(0o600));
-        }
     }
     Ok(file)
 }

@@ -7,7 +7,7 @@ use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use roomcast_database::rusqlite::{Error, ErrorCode};
-use roomcast_database::{Database, DatabaseError, Transaction, is_damage};
+use roomcast_database::{Database, DatabaseError, Transaction, count_sync, is_damage};
 
 use roomcast_core::ids::PersonId;
 
@@ -164,7 +164,7 @@ impl Writer {
     fn start(&mut self) -> Result<Recovered, Error> {
         self.begin()?;
         self.import()?;
-        match self.database.sync() {
+        match self.database.write_synced(count_sync) {
             // A failed sync loses pages that a killed daemon has left. What is read after it is on the disk.
             Err(error) if !is_damage(&error) => {
                 self.recover_from(&error);
@@ -307,7 +307,7 @@ impl Writer {
     /// # Errors
     /// When the disk refuses, or no name leads to the database any more.
     pub fn sync(&mut self) -> Result<(), Error> {
-        self.synced(roomcast_database::count_sync)
+        self.synced(count_sync)
     }
 
     /// Runs work in a transaction that brings all commits to the disk.
