@@ -187,7 +187,8 @@ pub(super) fn forget_habits<M: LanguageModel>(
 ) -> io::Result<()> {
     let Some(journal) = journal else { return Ok(()) };
     let Some(memory) = engine.habits_mut().memory_if_changed() else { return Ok(()) };
-    journal.forget_habits(memory, until)
+    journal.keep_habits(memory);
+    journal.ask(|writer| writer.forget_habits(), until)
 }
 
 #[cfg(test)]

@@ -67,12 +67,6 @@ struct Progress {
     is_unsynced: AtomicBool,
 }
 
-impl Progress {
-    fn wait_habits(&self, memory: Memory) {
-        *self.habits.lock().unwrap_or_else(PoisonError::into_inner) = Some(memory);
-    }
-}
-
 /// Work for the writer.
 enum Work {
     /// Append a record.
@@ -165,20 +159,11 @@ impl JournalHandle {
 
     /// Passes habits to the writer. If it cannot write them, the next ones replace them.
     pub(super) fn keep_habits(&self, memory: Memory) {
-        self.progress.wait_habits(memory);
+        *self.progress.habits.lock().unwrap_or_else(PoisonError::into_inner) = Some(memory);
         if let Some(queue) = self.queue() {
             // If the queue is full, they wait for the next ones, or for the end.
             let _sent = queue.try_send(Work::Do(Box::new(|writer| _ = writer.tries(Writer::write_waiting_habits))));
         }
-    }
-
-    /// Writes the remaining habits after a person was forgotten: no byte of the old rows stays.
-    ///
-    /// # Errors
-    /// When the disk refuses, or takes longer than until then. The habits are written later.
-    pub(super) fn forget_habits(&self, memory: Memory, until: Instant) -> io::Result<()> {
-        self.progress.wait_habits(memory);
-        self.ask(|writer| writer.forget_habits(), until)
     }
 
     fn queue(&self) -> Option<Sender<Work>> {

@@ -62,20 +62,16 @@ fn event_of(kind: &str, room: Option<&str>, text: Option<&str>) -> Option<Event>
     })
 }
 
-/// The checksum of a narrator's words: SQLite does not notice a flipped bit in a text.
-fn checksum(observation: &Observation) -> u32 {
+/// The checksum of a narrator's words, because SQLite does not notice a flipped bit in a text. The columns that change are added to it: a statement can
+/// take them out of the sum. A flipped bit of a time changes the remainder.
+fn checksum(observation: &Observation, observed_ns: Option<i64>, found: Option<u32>) -> i64 {
     let Observation { person, name, observed_unix_ns: UnixNs(time), count, may_be_form, event, .. } = observation;
     let EventId { source, epoch, sequence } = observation.id();
     let (kind, room, text) = columns(event);
     let said =
         format!("{source} {epoch} {sequence} {time} {person} {name:?} {count} {may_be_form} {kind} {room:?} {text:?}");
-    crc32fast::hash(said.as_bytes())
-}
-
-/// The checksum with the columns that change: a statement can take them out of the sum. A flipped bit of a time changes the remainder.
-fn sum(observation: &Observation, observed_ns: Option<i64>, found: Option<u32>) -> i64 {
     let added = observed_ns.unwrap_or_default() % 1_000_000_007 + i64::from(found.unwrap_or_default());
-    i64::from(checksum(observation)) + added
+    i64::from(crc32fast::hash(said.as_bytes())) + added
 }
 
 /// Writes one record as number `id`. A record that is there already changes nothing.
@@ -148,7 +144,7 @@ fn insert_event(
             ":id": id, ":source": source.cast_signed(), ":epoch": epoch.cast_signed(), ":sequence": sequence.cast_signed(),
             ":observed_ns": observed_ns, ":observed_unix_ns": observed_unix_ns.0.cast_signed(),
             ":kind": kind, ":room": room, ":text": text, ":person": person.0, ":name": name, ":number": number,
-            ":found": found, ":count": count, ":may_be_form": may_be_form, ":checksum": sum(observation, observed_ns, found),
+            ":found": found, ":count": count, ":may_be_form": may_be_form, ":checksum": checksum(observation, observed_ns, found),
         })
         .map(|_| ())
 }
@@ -363,21 +359,16 @@ pub(super) fn events(transaction: &Transaction<'_>) -> Result<(Vec<Known>, Vec<i
     let (mut known, mut damaged) = (Vec::new(), Vec::new());
     let mut rows = query.query([])?;
     while let Some(row) = rows.next()? {
-        match sound(event_at(row))?.flatten() {
-            Some((mut event, is_told)) => {
-                if is_told {
-                    event.moves = Some(moves.remove(&event.id).unwrap_or_default());
-                }
-                known.push(event);
-            }
+        match sound(event_at(row, &mut moves))?.flatten() {
+            Some(event) => known.push(event),
             None => damaged.push(row.get(0)?),
         }
     }
     Ok((known, damaged))
 }
 
-/// The event in a row, and whether the persons that it moved are known; `None` if the row is damaged.
-fn event_at(row: &Row<'_>) -> Result<Option<(Known, bool)>> {
+/// The event in a row, with the persons that it moved; `None` if the row is damaged.
+fn event_at(row: &Row<'_>, moves: &mut HashMap<i64, Vec<Move>>) -> Result<Option<Known>> {
     let EventId { source, epoch, sequence } = id_at(row, 1)?;
     let observed_ns: Option<i64> = row.get(4)?;
     let (kind, room, text): (String, Option<String>, Option<String>) = (row.get(6)?, row.get(7)?, row.get(8)?);
@@ -394,10 +385,10 @@ fn event_at(row: &Row<'_>) -> Result<Option<(Known, bool)>> {
         ..Observation::saying(sequence, event)
     };
     let found: Option<u32> = row.get(11)?;
-    let is_sound = row.get::<_, i64>(15)? == sum(&observation, observed_ns, found);
+    let is_sound = row.get::<_, i64>(15)? == checksum(&observation, observed_ns, found);
     let (id, found, is_of_this_boot) = (row.get(0)?, found.map(PersonId), observed_ns.is_some());
-    let known = Known { id, observation, is_of_this_boot, found, moves: None };
-    Ok(is_sound.then_some((known, row.get(14)?)))
+    let moves = row.get::<_, bool>(14)?.then(|| moves.remove(&id).unwrap_or_default());
+    Ok(is_sound.then_some(Known { id, observation, is_of_this_boot, found, moves }))
 }
 
 fn moves(transaction: &Transaction<'_>) -> Result<HashMap<i64, Vec<Move>>> {

@@ -590,7 +590,7 @@ fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
     let damaged = own.recover().unwrap().habits.unwrap().memory(options);
     assert!(damaged.unwrap_err().contains("checksum"));
     drop(other);
-    own.progress.wait_habits(Memory::new(options));
+    own.write_habits(&Memory::new(options)).unwrap();
     own.forget_habits().unwrap();
     assert!(!text_of(directory.path()).contains("secret-room"));
 }

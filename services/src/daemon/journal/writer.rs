@@ -370,11 +370,11 @@ impl Writer {
         self.write_habits(&memory).inspect_err(|_| _ = waiting().get_or_insert(memory))
     }
 
-    /// Writes the habits after a person was forgotten: no byte of the old rows stays.
+    /// Writes the waiting habits after a person was forgotten: no byte of the old rows stays.
     ///
     /// # Errors
-    /// When the disk refuses.
-    pub(super) fn forget_habits(&mut self) -> Result<(), Error> {
+    /// When the disk refuses. The habits are written later.
+    pub(in crate::daemon) fn forget_habits(&mut self) -> Result<(), Error> {
         self.write_waiting_habits()?;
         if let Some(directory) = &self.directory {
             old::remove(directory, &old::HABITS).map_err(refused)?;
