@@ -332,16 +332,6 @@ impl Spool {
         Ok(())
     }
 
-    /// Checkpoints the log into the file, so that a copy of the file is a copy of the queue.
-    ///
-    /// # Errors
-    ///
-    /// When the disk refuses.
-    #[doc(hidden)]
-    pub fn compact(&mut self) -> rusqlite::Result<()> {
-        self.database.erase()
-    }
-
     fn forget(&mut self, count: usize) {
         for kept in self.kept.drain(..count.min(self.kept.len())) {
             (self.head.first, self.head.input) = (kept.sequence + 1, kept.input);
