@@ -458,7 +458,7 @@ pub(super) fn recover(transaction: &Transaction<'_>) -> Result<Recovered> {
     let gone = query.query_map([], |row| Ok((place(row.get(0)?), PersonId(row.get(1)?))))?;
     recovered.forgotten = gone.filter_map(|gone| sound(gone).transpose()).collect::<Result<_>>()?;
     let mut query = transaction.prepare("SELECT * FROM source ORDER BY event")?;
-    let mut rows = query.query([])?;
+    let (mut taken, mut rows) = (Vec::new(), query.query([])?);
     while let Some(row) = rows.next()? {
         let Some((start, source)) = sound(Source::at(row))?.flatten() else {
             recovered.damaged += 1;
@@ -467,10 +467,11 @@ pub(super) fn recover(transaction: &Transaction<'_>) -> Result<Recovered> {
         recovered.ports.extend(source.port.map(|port| (start, Port::from_bytes(port))));
         recovered.settled.extend(source.settled.map(|settled| (start, settled)));
         let last = source.last.map(|last| EventId::new(start.0, start.1, last));
-        if let Some(event) = last.filter(|event| !newest.contains(event)) {
-            recovered.carried.push((place(source.event), event));
-        }
+        taken.extend(last.filter(|event| !newest.contains(event)).map(|event| (place(source.event), event)));
     }
+    taken.extend(recovered.observations.iter().map(Observation::id).enumerate());
+    taken.sort_by_key(|(place, _)| *place);
+    recovered.taken = taken.into_iter().map(|(_, event)| event).collect();
     Ok(recovered)
 }
 
