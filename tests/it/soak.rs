@@ -71,7 +71,7 @@ fn memory_and_descriptors_stay_flat() {
     // So small that the oldest events are deleted within the first tenth: memory for the deletion does not count as growth.
     let state = directory.path().join("state");
     let (journal, _) = Journal::open(&state, 1 << 17, Duration::from_secs(1)).unwrap();
-    let handle = journal.handle();
+    let handle = journal.handle.clone();
     let mut account = Account::new("soak", sequence::random_epoch());
     let mut planner = Planner::new(&PlannerConfig { room_time_s: 0.001, ..PlannerConfig::default() }, 1);
 
@@ -93,7 +93,7 @@ fn memory_and_descriptors_stay_flat() {
             else {
                 panic!("{event}")
             };
-            let record = journal.append(&observation);
+            let record = journal.handle.append(&observation);
             cycle.enter(Entry::new(observation, BootNs(now_ns)), record);
         }
         cycle.step(BootNs(clock::monotonic_ns()), UnixNs(clock::unix_ns())).unwrap();

@@ -8,7 +8,6 @@
 
 use std::fs;
 use std::io;
-use std::ops::Deref;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -87,7 +86,8 @@ struct Sink {
 /// The journal of a running daemon. It ends with this.
 #[derive(Debug)]
 pub struct Journal {
-    handle: JournalHandle,
+    /// Access for other threads.
+    pub handle: JournalHandle,
     writer: Option<JoinHandle<()>>,
 }
 
@@ -111,25 +111,11 @@ impl Journal {
             .map_err(|source| JournalError::File(path, "start the writer of", source))?;
         Ok((Self { handle, writer: Some(writer) }, recovered))
     }
-
-    /// The handle for other threads.
-    #[must_use]
-    pub fn handle(&self) -> JournalHandle {
-        self.handle.clone()
-    }
-}
-
-impl Deref for Journal {
-    type Target = JournalHandle;
-
-    fn deref(&self) -> &JournalHandle {
-        &self.handle
-    }
 }
 
 impl Drop for Journal {
     fn drop(&mut self) {
-        drop(self.sink().work.take());
+        drop(self.handle.sink().work.take());
         if let Some(writer) = self.writer.take() {
             // A writer that panicked has said so; there is nothing left to do here.
             let _ended = writer.join();

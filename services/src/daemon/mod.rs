@@ -183,7 +183,8 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let narration = node.subscriber::<NarrationV1>()?;
     let (handle, prefetching) = prefetch_thread::pair(config.scoring.prepare_share, config.scoring.prepare_on_battery);
     let (journal, mut recovered) = open_journal(&config.daemon)?;
-    let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal.as_ref().map(Journal::handle));
+    let journal_handle = journal.as_ref().map(|journal| journal.handle.clone());
+    let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal_handle.clone());
     let habits = recovered.habits.take();
     let Some(loaded) = stop.while_loading(|| load(config, names, habits, model, prefetching.is_stopped())) else {
         return Ok(());
@@ -203,7 +204,7 @@ fn run_with<M: LanguageModel + Send + 'static>(
         kept_map,
         save_ns: (config.habits.save_s * 1e9) as u64,
         sentence_tokens_max,
-        journal: journal.as_ref().map(Journal::handle),
+        journal: journal_handle,
         counters: Arc::clone(&counters),
         progress: progress.clone(),
         handle: ahead.is_some().then_some(handle),

@@ -133,7 +133,7 @@ mod tests {
     fn names_outlive_the_daemon() {
         let directory = tempfile::tempdir().unwrap();
         let (journal, recovered) = Journal::open(directory.path(), 1 << 20, Duration::from_secs(1)).unwrap();
-        let mut file = PersonsFile::new(recovered.persons, Some(journal.handle()));
+        let mut file = PersonsFile::new(recovered.persons, Some(journal.handle.clone()));
         assert!(file.persons().is_empty());
         let ada = KeptPerson { resident: Some(true), ..kept(3, "Ada") };
         for person in [ada.clone(), kept(4, "ben"), ada.renamed("Ada L.")] {

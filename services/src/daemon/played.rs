@@ -33,7 +33,7 @@ impl Daemon {
     fn start(config: &Config, now_ns: BootNs, now_unix_ns: UnixNs) -> Self {
         let (journal, mut recovered) = open_journal(&config.daemon).unwrap();
         let journal = journal.unwrap();
-        let names = PersonsFile::new(std::mem::take(&mut recovered.persons), Some(journal.handle()));
+        let names = PersonsFile::new(std::mem::take(&mut recovered.persons), Some(journal.handle.clone()));
         let Loaded { engine, token_counter, .. } =
             load(config, names, recovered.habits.take(), setup::configured_model, Arc::new(|| true)).unwrap();
         let mut cycle = Cycle::new(engine, config.daemon.heartbeat_ms * 1_000_000);
@@ -48,13 +48,13 @@ impl Daemon {
         let Taken::Accepted { observation, .. } = self.intake.take(message, Sender::simulated(port), now_ns) else {
             panic!("not accepted: {}", message.text())
         };
-        let record = self.journal.append(&observation);
+        let record = self.journal.handle.append(&observation);
         self.cycle.enter(Entry::new(observation, now_ns), record);
     }
 
     /// Scores, and publishes in the order of the scoring thread. Returns whether a message was due.
     fn step(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> bool {
-        let handle = self.journal.handle();
+        let handle = &self.journal.handle;
         while self.cycle.step_due(now_ns) {
             self.cycle.step(now_ns, now_unix_ns).unwrap();
             let mut attributed = 0;

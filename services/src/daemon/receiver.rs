@@ -113,9 +113,9 @@ impl EventReceiver {
                     let number = self.journal.as_ref().map_or(0, |journal| {
                         if binds {
                             let start = (observation.source, observation.epoch);
-                            journal.append(Record::Port { start, port: sender });
+                            journal.handle.append(Record::Port { start, port: sender });
                         }
-                        journal.append(&observation)
+                        journal.handle.append(&observation)
                     });
                     let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0, quota, leaves };
                     take(Heard::Entry(entry, number));

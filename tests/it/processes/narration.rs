@@ -153,7 +153,7 @@ fn a_sentence_that_costs_more_than_the_window_harms_nobody() {
     let costly = format!("They say {}.", "x9 ".repeat(330));
     let sentence = Sentence::new(&costly).unwrap();
     let observed = Observation { source: 5, epoch: 5, sequence: 5, ..Observation::of(5, sentence) };
-    Journal::open(&state, 1 << 20, Duration::from_secs(1)).unwrap().0.append(&observed);
+    Journal::open(&state, 1 << 20, Duration::from_secs(1)).unwrap().0.handle.append(&observed);
     let arguments = ["daemon", "--state", state.to_str().unwrap(), "--config", &config];
     let daemon = world.start(&arguments);
     let lines = format!("They walk to the kitchen.\n{costly}\n{costly}\nThey grab the mug.\n{costly}\n");

@@ -26,7 +26,7 @@ impl Notes {
     pub(in crate::daemon) fn push(&mut self, record: impl Into<Record>) {
         let record = record.into();
         self.records.push(record.clone());
-        self.journal.append(record);
+        self.journal.handle.append(record);
     }
 
     /// The content for a daemon that starts now.
@@ -38,7 +38,10 @@ impl Notes {
     }
 
     fn write(&self) {
-        assert!(self.journal.wait_for(self.records.len() as u64, Duration::from_secs(60)), "the journal stands still");
+        assert!(
+            self.journal.handle.wait_for(self.records.len() as u64, Duration::from_secs(60)),
+            "the journal stands still"
+        );
     }
 
     /// All bytes of all files, as text.

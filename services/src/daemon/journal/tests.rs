@@ -120,12 +120,12 @@ fn events_in_a_folder_that_was_made_again_are_not_kept() {
     let state = outer.path().join("state");
     for is_made_again in [false, true] {
         let (journal, _) = open(&state).unwrap();
-        journal.append(&observation(1));
+        journal.handle.append(&observation(1));
         if is_made_again {
             fs::rename(&state, outer.path().join("gone")).unwrap();
             fs::create_dir(&state).unwrap();
         }
-        let handle = journal.handle();
+        let handle = journal.handle.clone();
         assert!(handle.is_kept());
         // It syncs before it ends.
         drop(journal);
@@ -258,7 +258,7 @@ fn a_forgotten_person_leaves_no_byte() {
         fs::write(directory.path().join(file), "Ada's secret 3.").unwrap();
     }
     let (journal, _) = open(directory.path()).unwrap();
-    let handle = journal.handle();
+    let handle = journal.handle.clone();
     let of = |sequence: u64, name: &str| {
         let sentence = Sentence::new(&format!("They do secret {sequence}. {}", "and so on ".repeat(50))).unwrap();
         let name = Some(name).filter(|name| !name.is_empty()).map(Into::into);
@@ -267,7 +267,7 @@ fn a_forgotten_person_leaves_no_byte() {
     };
     for sequence in 1..=120 {
         let name = ["ada-lovelace", "ben", ""][sequence as usize % 3];
-        let mut number = journal.append(&of(sequence, name));
+        let mut number = journal.handle.append(&of(sequence, name));
         if name.is_empty() {
             let (event, person) = (EventId::new(7, sequence / 64, sequence), PersonId(1 + sequence as u32 % 2));
             let outcome = Outcome { event, person, by_fit: true, map: 1, probability: &[] };
@@ -285,7 +285,7 @@ fn a_forgotten_person_leaves_no_byte() {
     let text = text_of(directory.path());
     assert!(!text.contains("ada-") && !text.contains("secret 3.") && text.contains("secret 4."));
     assert_eq!(forget(), 0);
-    let last = journal.append(&of(121, "ben"));
+    let last = journal.handle.append(&of(121, "ben"));
     assert!(handle.wait_for(last, Duration::from_secs(30)));
     drop(journal);
     let (_journal, recovered) = open(directory.path()).unwrap();
@@ -412,7 +412,7 @@ fn a_damaged_database_is_set_aside() {
         }
         let lost = 300 - recovered.observations.len() as u64;
         assert!(set_aside.is_some() || lost <= recovered.damaged + u64::from(bytes.is_empty()) * 300, "{round}");
-        journal.append(&observation(1000));
+        journal.handle.append(&observation(1000));
         drop(journal);
         assert_eq!(look(directory.path()).unwrap().observations.last().unwrap().sequence, 1000, "{round}");
     }
@@ -450,7 +450,7 @@ fn a_database_that_another_user_could_have_planted_is_refused() {
         fs::remove_file(&file).unwrap();
     }
     let (journal, _) = open(directory.path()).unwrap();
-    journal.handle().append(Record::Gone { person: PersonId(1), after: None });
+    journal.handle.append(Record::Gone { person: PersonId(1), after: None });
     drop(journal);
     for file in fs::read_dir(directory.path()).unwrap() {
         assert_eq!(file.unwrap().metadata().unwrap().permissions().mode() & 0o777, 0o600);

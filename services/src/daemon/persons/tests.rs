@@ -569,7 +569,7 @@ fn heard(house: &House) -> BTreeMap<PersonId, (Presence, i64)> {
 fn forget(house: &mut House, who: &str) -> PersonAnswer {
     let question = PersonQuestion::Forget { id: "1".to_owned(), who: who.to_owned() };
     let House { engine, journal, .. } = house;
-    let answer = answer_about_person(engine, Some(&journal.journal), Ok(question));
+    let answer = answer_about_person(engine, Some(&journal.journal.handle), Ok(question));
     house.step(None);
     answer
 }
