@@ -255,16 +255,6 @@ pub(super) fn begin_boot(transaction: &Transaction<'_>, boot_id: &[u8; 16]) -> R
     transaction.execute("INSERT OR REPLACE INTO meta VALUES ('boot', ?1)", [boot_id]).map(|_| ())
 }
 
-/// About how many bytes the events have.
-pub(super) fn bytes(transaction: &Transaction<'_>) -> Result<u64> {
-    let sum = format!(
-        "SELECT (SELECT coalesce(sum({EVENT_BYTES} + coalesce(length(text), 0) + coalesce(length(room), 0)), 0) FROM event)
-              + (SELECT coalesce(sum({PART_BYTES} + coalesce(length(text), 0) + coalesce(length(room), 0)), 0) FROM moved)
-              + (SELECT coalesce(sum({PART_BYTES} + length(probability)), 0) FROM expectation)"
-    );
-    transaction.query_row(&sum, [], |row| row.get::<_, i64>(0)).map(i64::cast_unsigned)
-}
-
 /// About how many bytes each event has with the rows that belong to it, oldest first.
 fn costs(transaction: &Transaction<'_>) -> Result<Vec<(i64, EventId, u64)>> {
     let each = format!(

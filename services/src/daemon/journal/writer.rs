@@ -104,7 +104,7 @@ pub struct Writer {
     directory: Option<PathBuf>,
     /// The number of the last record.
     number: i64,
-    /// About how many bytes the events have.
+    /// About how many bytes the events have at most.
     bytes: u64,
     bytes_max: u64,
     boot_id: [u8; 16],
@@ -190,11 +190,12 @@ impl Writer {
 
     fn begin(&mut self) -> Result<(), Error> {
         let boot_id = self.boot_id;
-        let (number, bytes) = self.database.write(|transaction| {
+        let number = self.database.write(|transaction| {
             store::begin_boot(transaction, &boot_id)?;
-            Ok((store::last_number(transaction)?, store::bytes(transaction)?))
+            store::last_number(transaction)
         })?;
-        (self.number, self.bytes) = (self.number.max(number), bytes);
+        // The next sync counts the bytes.
+        (self.number, self.bytes) = (self.number.max(number), self.bytes_max.saturating_add(1));
         Ok(())
     }
 
@@ -263,7 +264,7 @@ impl Writer {
             rows.map_or(Ok(()), |rows| rows.write(transaction, before))
         })?;
         *habits = new.or(habits.take());
-        self.bytes += queue.unwritten().map(|(_, record)| record.bytes()).sum::<u64>();
+        self.bytes = self.bytes.saturating_add(queue.unwritten().map(|(_, record)| record.bytes()).sum());
         (queue.written, self.lacks_pages) = (queue.records.len(), false);
         // A flood does not wait for the next sync.
         if self.bytes > self.bytes_max.saturating_add(self.bytes_max / 4) { self.trim() } else { Ok(()) }
@@ -340,14 +341,11 @@ impl Writer {
         self.number += 1;
         let number = self.number;
         let forgotten = self.database.write(|transaction| forget::forget(transaction, person, is_theirs, number));
-        let (theirs, is_changed) = forgotten.inspect_err(|error| self.recover_from(error))?;
+        let theirs = forgotten.inspect_err(|error| self.recover_from(error))?;
         let removed = self.database.remove_set_aside();
         let removed = removed
             .and_then(|()| self.directory.as_deref().map_or(Ok(()), |directory| old::remove(directory, &old::EVENTS)));
         removed.map_err(refused)?;
-        if is_changed {
-            self.bytes = self.database.write(store::bytes)?;
-        }
         // Also when nothing has changed: an earlier call may have failed before this.
         self.erase()?;
         Ok(theirs)
