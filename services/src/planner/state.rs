@@ -36,10 +36,8 @@ pub struct KeptRound {
     /// Due time of the previous round.
     due_ns: Option<BootNs>,
     done: Vec<String>,
-    /// Rooms that the robot could not do, with the time of the failure.
-    failed: Vec<(String, BootNs)>,
-    /// Failures in a row of each of these rooms.
-    failures: Vec<u32>,
+    /// Rooms that the robot could not do, with the time of the failure, and the failures in a row.
+    failed: Vec<(String, BootNs, u32)>,
     /// Rooms that were left to a person.
     held: Vec<String>,
     room: Option<String>,
@@ -73,7 +71,7 @@ impl Planner {
     #[must_use]
     pub fn kept(&self, boot: &str) -> Option<KeptRound> {
         let scores = self.scores.as_ref()?;
-        let id = |room: usize| self.id_of(room).to_owned();
+        let (robot, id) = (&self.robot, |room: usize| self.id_of(room).to_owned());
         let done = self.round.covered().iter().enumerate().filter(|(_, done)| **done);
         let held = self.interruption.held().iter().enumerate().filter(|(_, held)| **held);
         Some(KeptRound {
@@ -82,30 +80,21 @@ impl Planner {
             began_ns: self.round.began_ns,
             due_ns: self.round.due_ns,
             done: done.map(|(room, _)| id(room)).collect(),
-            failed: self.round.failed().map(|(room, failed_ns, _)| (id(room), failed_ns)).collect(),
-            failures: self.round.failed().map(|(_, _, failures)| failures).collect(),
+            failed: self.round.failed().map(|(room, failed_ns, failures)| (id(room), failed_ns, failures)).collect(),
             held: held.map(|(room, _)| id(room)).collect(),
-            room: self.robot.room.map(id),
+            room: robot.room.map(id),
             // A robot with a decision at every score has no work that outlasts the planner.
-            work: self.robot.work.as_ref().filter(|_| self.round.stay_ns > 0).map(|work| KeptWork {
-                room: id(work.room),
-                decisions: work.decisions.clone(),
-                began_ns: work.began_ns,
-                ends_ns: work.ends_ns,
-                waits: work.waits,
-                started: work.started,
-                alone: self.interruption.is_alone(work.room),
+            work: robot.work.clone().filter(|_| self.round.stay_ns > 0).map(|work| {
+                let Work { room, decisions, began_ns, ends_ns, waits, started } = work;
+                let alone = self.interruption.is_alone(room);
+                KeptWork { room: id(room), decisions, began_ns, ends_ns, waits, started, alone }
             }),
-            reports_work: self.robot.reports_work,
-            battery: self.robot.battery,
-            charges: self.robot.charges,
-            heard_ns: self
-                .robot
-                .heard_ns
-                .filter(|_| self.robot.charges)
-                .map(|heard_ns| BootNs(heard_ns.0 - heard_ns.0 % MINUTE_NS)),
-            told: self.robot.told.clone(),
-            trouble: self.robot.trouble(),
+            reports_work: robot.reports_work,
+            battery: robot.battery,
+            charges: robot.charges,
+            heard_ns: robot.heard_ns.filter(|_| robot.charges).map(|at_ns| BootNs(at_ns.0 - at_ns.0 % MINUTE_NS)),
+            told: robot.told.clone(),
+            trouble: robot.trouble(),
         })
     }
 
@@ -116,7 +105,7 @@ impl Planner {
         for done in kept.done.iter().filter_map(|id| room(id)) {
             self.round.cover(done);
         }
-        for ((failed, failed_ns), failures) in kept.failed.iter().zip(&kept.failures) {
+        for (failed, failed_ns, failures) in &kept.failed {
             room(failed).into_iter().for_each(|room| self.round.restore_failed(room, *failed_ns, *failures));
         }
         kept.held.iter().filter_map(|id| room(id)).for_each(|room| self.interruption.hold(room));
@@ -168,7 +157,8 @@ impl Database {
     pub(super) fn round(&mut self) -> Option<KeptRound> {
         let kept: KeptRound = self.kept.load("round")?;
         let now_ns = clock::monotonic_ns();
-        let mut times = kept.failed.iter().map(|(_, failed_ns)| *failed_ns).chain(kept.began_ns).chain(kept.heard_ns);
+        let mut times =
+            kept.failed.iter().map(|(_, failed_ns, _)| *failed_ns).chain(kept.began_ns).chain(kept.heard_ns);
         let past = times.all(|past_ns| past_ns <= now_ns);
         // Damaged work of more than a day would block the robot.
         const LONGEST_NS: u64 = 86_400_000_000_000;

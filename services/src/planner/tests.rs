@@ -659,7 +659,7 @@ fn a_restarted_planner_knows_which_rooms_failed_and_which_are_left_to_somebody()
     assert_eq!(home.decision(8).to(), "room-2");
     let kept = home.planner.kept("boot").unwrap();
     let text = serde_json::to_string(&kept).unwrap();
-    assert!(text.contains(r#""failed":[["room-1",7000000000]],"failures":[1],"held":["room-0"]"#), "{text}");
+    assert!(text.contains(r#""failed":[["room-1",7000000000,1]],"held":["room-0"]"#), "{text}");
     let config = PlannerConfig { room_time_s: 100.0, ..PlannerConfig::default() };
     let planner = Planner::new(&config, 2).with_kept(kept.clone());
     let mut again = Home { planner, likely: vec![0.5, 0.0, 0.0], reports: home.reports, ..Home::new(3, &config) };
