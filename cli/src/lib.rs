@@ -205,7 +205,7 @@ mod tests {
     #[test]
     fn another_daemon_has_its_own_code_also_where_only_its_journal_shows_it() {
         let code = |error: JournalError| Failure::from(DaemonError::Journal(error)).code;
-        assert_eq!(code(JournalError::Locked { path: "journal".into() }), exit_code::IPC);
+        assert_eq!(code(JournalError::Locked("journal".into())), exit_code::IPC);
     }
 
     /// An unusable scene or model ends every command with the same code.

@@ -5,7 +5,7 @@
 
 use std::fs::{self, File, OpenOptions};
 use std::io;
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -37,49 +37,18 @@ pub struct Schema {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DatabaseError {
-    /// A file operation failed.
-    #[error("database {}: cannot {operation} it: {source}; check owner, mode and space of its folder", path.display())]
-    File {
-        /// The file or folder.
-        path: PathBuf,
-        /// "open", "lock" or another operation.
-        operation: &'static str,
-        /// The system's reason.
-        source: io::Error,
-    },
+    /// An operation on the file or its folder failed, such as "open" or "lock".
+    #[error("database {}: cannot {} it: {}; check owner, mode and space of its folder", .0.display(), .1, .2)]
+    File(PathBuf, &'static str, #[source] io::Error),
     /// Another user could have created or may change it.
-    #[error("database {}: {source}", path.display())]
-    Refused {
-        /// The file.
-        path: PathBuf,
-        /// The reason and the remedy.
-        source: io::Error,
-    },
+    #[error("database {}: {}", .0.display(), .1)]
+    Refused(PathBuf, #[source] io::Error),
     /// Another process has it.
-    #[error("database {}: another process uses it; stop that process, or give this one another directory", path.display())]
-    Locked {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("database {}: another process uses it; stop that process, or give this one another directory", .0.display())]
+    Locked(PathBuf),
     /// SQLite reports an error.
-    #[error("database {}: {source}; check the disk and its space", path.display())]
-    Sqlite {
-        /// The file.
-        path: PathBuf,
-        /// SQLite's reason.
-        source: rusqlite::Error,
-    },
-}
-
-/// A database that was set aside because it is damaged.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct SetAside {
-    /// Its new place.
-    pub path: PathBuf,
-    /// The damage.
-    pub reason: String,
-    /// Rows that the new database has from it.
-    pub rows: usize,
+    #[error("database {}: {}; check the disk and its space", .0.display(), .1)]
+    Sqlite(PathBuf, #[source] rusqlite::Error),
 }
 
 /// The place of a database.
@@ -111,13 +80,15 @@ pub struct Database {
 }
 
 impl Database {
-    /// Opens or creates the database. A damaged database is set aside, and a new one begins.
+    /// Opens or creates the database, and its folder for its owner alone. A damaged database is set aside, and a new one begins.
     ///
     /// # Errors
     /// [`DatabaseError`]; damage is no error.
-    pub fn open(path: &Path, schema: Schema) -> Result<(Self, Option<SetAside>), DatabaseError> {
+    pub fn open(path: &Path, schema: Schema) -> Result<Self, DatabaseError> {
         // SQLite follows no links: only the folder may have some.
         let folder = path.parent().unwrap_or(Path::new("."));
+        let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(folder);
+        made.map_err(failed(path, "make the folder of"))?;
         let folder = fs::canonicalize(folder).map_err(failed(folder, "find"))?;
         let path = folder.join(path.file_name().unwrap_or_default());
         let place = Place::File(lock(&path)?);
@@ -128,21 +99,21 @@ impl Database {
     ///
     /// # Errors
     /// As [`Database::open`].
-    pub fn open_simulated(simulation: Simulation, schema: Schema) -> Result<(Self, Option<SetAside>), DatabaseError> {
+    pub fn open_simulated(simulation: Simulation, schema: Schema) -> Result<Self, DatabaseError> {
         Self::open_at(PathBuf::from("simulated"), schema, Place::Simulated(simulation))
     }
 
-    fn open_at(path: PathBuf, schema: Schema, place: Place) -> Result<(Self, Option<SetAside>), DatabaseError> {
+    fn open_at(path: PathBuf, schema: Schema, place: Place) -> Result<Self, DatabaseError> {
         let mut database = Self { connection: None, path, schema, place };
-        let aside = database.reopen()?;
-        Ok((database, aside))
+        database.reopen()?;
+        Ok(database)
     }
 
     /// Closes and reopens it, as after a kill. A damaged database is set aside, and a new one begins.
     ///
     /// # Errors
     /// [`DatabaseError`]; the next call tries again.
-    pub fn reopen(&mut self) -> Result<Option<SetAside>, DatabaseError> {
+    pub fn reopen(&mut self) -> Result<(), DatabaseError> {
         self.connection = None;
         // A single read may be wrong, so the second attempt decides. SQLite opens a newer file format read-only, although this file is writable.
         let connected = self.connect().or_else(|error| match error.sqlite_error_code() {
@@ -151,40 +122,35 @@ impl Database {
             _ => Err(error),
         });
         match connected {
-            Ok(connection) => {
-                self.connection = Some(connection);
-                Ok(None)
-            }
-            Err(error) if is_damage(&error) => self.start_anew(&error).map(Some),
-            Err(source) => Err(DatabaseError::Sqlite { path: self.path.clone(), source }),
+            Ok(connection) => self.connection = Some(connection),
+            Err(error) if is_damage(&error) => self.start_anew(&error)?,
+            Err(source) => return Err(DatabaseError::Sqlite(self.path.clone(), source)),
         }
+        Ok(())
     }
 
-    /// Sets a damaged database aside, and begins a new one.
+    /// Sets a damaged database aside, and begins a new one with the rows that can be read. The log says so.
     ///
     /// # Errors
     /// [`DatabaseError`].
-    pub fn start_anew(&mut self, damage: &rusqlite::Error) -> Result<SetAside, DatabaseError> {
+    pub fn start_anew(&mut self, damage: &rusqlite::Error) -> Result<(), DatabaseError> {
         self.connection = None;
-        let path = self.set_aside()?;
-        let connection = self.connect().map_err(|source| DatabaseError::Sqlite { path: self.path.clone(), source })?;
+        let aside = self.set_aside()?;
+        let connection = self.connect().map_err(|source| DatabaseError::Sqlite(self.path.clone(), source))?;
         self.connection = Some(connection);
-        let rows = self.salvage(&path).unwrap_or_default();
-        Ok(SetAside { path, reason: damage.to_string(), rows })
+        let rows = self.salvage(&aside).unwrap_or_default();
+        tracing::error!(
+            path = %aside.display(), reason = %damage, rows,
+            "a damaged database was set aside, and a new one has the rows that could be read; is the disk failing?"
+        );
+        Ok(())
     }
 
     /// Copies the rows of a damaged database of the same version, from both ends of each table as far as they can be read.
     fn salvage(&mut self, path: &Path) -> rusqlite::Result<usize> {
-        if matches!(self.place, Place::Simulated(_)) {
-            return Ok(0);
-        }
         let damaged =
             Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX)?;
         damaged.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
-        let version = |connection: &Connection| -> rusqlite::Result<[i64; 2]> {
-            let number = |name| connection.pragma_query_value(None, name, |row| row.get(0));
-            Ok([number("application_id")?, number("user_version")?])
-        };
         if version(&damaged)? != version(self.connection()?)? {
             return Ok(0);
         }
@@ -249,14 +215,8 @@ impl Database {
     fn migrate(&self, connection: &mut Connection) -> rusqlite::Result<()> {
         let Schema { application, migrations } = self.schema;
         let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
-        let [found, version]: [i32; 2] = ["application_id", "user_version"]
-            .map(|name| transaction.pragma_query_value(None, name, |row| row.get(0)))
-            .into_iter()
-            .collect::<rusqlite::Result<Vec<_>>>()?
-            .try_into()
-            .unwrap_or_default();
-        let is_new = version == 0 && found == 0;
-        if !is_new && found != application {
+        let (found, version) = version(&transaction)?;
+        if ![(0, 0), (application, version)].contains(&(found, version)) {
             return Err(damaged("it is a database of another program"));
         }
         let done = usize::try_from(version).unwrap_or(usize::MAX);
@@ -306,12 +266,12 @@ impl Database {
     /// # Errors
     /// When the folder cannot be written.
     pub fn remove_set_aside(&self) -> io::Result<()> {
-        if matches!(self.place, Place::Simulated(_)) {
-            return Ok(());
-        }
         for number in 1..=ASIDE_MAX {
             for suffix in ["", "-wal", "-shm"] {
-                remove(&with_suffix(&self.path, &format!(".damaged-{number}{suffix}")))?;
+                match fs::remove_file(with_suffix(&self.path, &format!(".damaged-{number}{suffix}"))) {
+                    Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+                    _ => {}
+                }
             }
         }
         Ok(())
@@ -343,18 +303,11 @@ impl Database {
         Ok(done)
     }
 
-    /// Syncs all commits to the disk. After a failure the system may treat lost pages as written: call [`Database::reopen`], and write them again.
+    /// Runs work in one transaction, which is on the disk afterwards, with all commits before it. After a failure the system may treat lost pages as
+    /// written: call [`Database::reopen`], and write them again.
     ///
     /// # Errors
-    /// When the disk refuses, or the file was moved or removed.
-    pub fn sync(&mut self) -> rusqlite::Result<()> {
-        self.write_synced(count_sync)
-    }
-
-    /// Runs work in one transaction, which is on the disk afterwards, with all commits before it.
-    ///
-    /// # Errors
-    /// As [`Database::write`] and [`Database::sync`].
+    /// As [`Database::write`], and when the file was moved or removed.
     pub fn write_synced<T>(
         &mut self,
         work: impl FnOnce(&Transaction<'_>) -> rusqlite::Result<T>,
@@ -371,13 +324,9 @@ impl Database {
         Ok(done)
     }
 
-    fn checkpoint(&self, mode: &str) -> rusqlite::Result<()> {
-        let busy: i64 =
-            self.connection()?.query_row(&format!("PRAGMA wal_checkpoint({mode})"), [], |row| row.get(0))?;
-        if busy != 0 && mode == "TRUNCATE" {
-            return Err(sqlite_error(rusqlite::ffi::SQLITE_BUSY, "another program reads the database"));
-        }
-        Ok(())
+    /// Copies the log into the file; gives whether another program has kept it from that.
+    fn checkpoint(&self, mode: &str) -> rusqlite::Result<bool> {
+        self.connection()?.query_row(&format!("PRAGMA wal_checkpoint({mode})"), [], |row| row.get(0))
     }
 
     /// Removes all deleted data from file and log.
@@ -386,7 +335,9 @@ impl Database {
     /// When the disk refuses, or another program reads the database for long.
     pub fn erase(&mut self) -> rusqlite::Result<()> {
         self.connection()?.execute_batch("VACUUM")?;
-        self.checkpoint("TRUNCATE")?;
+        if self.checkpoint("TRUNCATE")? {
+            return Err(sqlite_error(rusqlite::ffi::SQLITE_BUSY, "another program reads the database"));
+        }
         self.require_name()
     }
 
@@ -395,7 +346,7 @@ impl Database {
     /// # Errors
     /// When the disk refuses.
     pub fn make_room(&self) -> rusqlite::Result<()> {
-        self.checkpoint("PASSIVE")
+        self.checkpoint("PASSIVE").map(|_| ())
     }
 
     fn wal_bytes(&self) -> u64 {
@@ -422,9 +373,8 @@ impl Database {
         if ours.ok().zip(there.ok()).is_some_and(is_same) {
             return Ok(());
         }
-        Err(refused(
-            "the file was removed, or its disk is gone, so the next start will not find what was written; restart the process, which makes a new one",
-        ))
+        let reason = "the file was removed, or its disk is gone, so the next start will not find what was written; restart the process, which makes a new one";
+        Err(sqlite_error(rusqlite::ffi::SQLITE_IOERR, reason))
     }
 }
 
@@ -448,62 +398,54 @@ pub fn count_sync(transaction: &Transaction<'_>) -> rusqlite::Result<()> {
     transaction.prepare_cached(count)?.execute([]).map(|_| ())
 }
 
+/// The program of a database, and the version of its schema.
+fn version(connection: &Connection) -> rusqlite::Result<(i32, i32)> {
+    let number = |name| connection.pragma_query_value(None, name, |row| row.get(0));
+    Ok((number("application_id")?, number("user_version")?))
+}
+
 /// The content of a row; `None` if a column has a value that no sound row has.
 ///
 /// # Errors
 /// Any other error.
 pub fn sound<T>(row: rusqlite::Result<T>) -> rusqlite::Result<Option<T>> {
-    use rusqlite::Error::{FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnType, Utf8Error};
     match row {
-        Ok(content) => Ok(Some(content)),
-        Err(Utf8Error(..) | IntegralValueOutOfRange(..) | FromSqlConversionFailure(..) | InvalidColumnType(..)) => {
-            Ok(None)
-        }
-        Err(error) => Err(error),
+        Err(error) if is_value(&error) => Ok(None),
+        row => row.map(Some),
     }
+}
+
+/// Whether a column has a value that no sound row has.
+fn is_value(error: &rusqlite::Error) -> bool {
+    use rusqlite::Error::{FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnType, Utf8Error};
+    matches!(error, FromSqlConversionFailure(..) | IntegralValueOutOfRange(..) | InvalidColumnType(..) | Utf8Error(..))
 }
 
 /// Whether an error means a damaged file, and not a problem of the disk or another process.
 #[must_use]
 pub fn is_damage(error: &rusqlite::Error) -> bool {
-    use rusqlite::Error::{
-        FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnIndex, InvalidColumnType, QueryReturnedNoRows,
-        SqlInputError, SqliteFailure, Utf8Error,
-    };
-    match error {
-        SqliteFailure(error, _) => {
-            error.extended_code == rusqlite::ffi::SQLITE_IOERR_SHORT_READ
-                || !matches!(
-                    error.code,
-                    ErrorCode::CannotOpen
-                        | ErrorCode::DatabaseBusy
-                        | ErrorCode::DatabaseLocked
-                        | ErrorCode::DiskFull
-                        | ErrorCode::FileLockingProtocolFailed
-                        | ErrorCode::OutOfMemory
-                        | ErrorCode::PermissionDenied
-                        | ErrorCode::ReadOnly
-                        | ErrorCode::SystemIoFailure
-                )
-        }
-        FromSqlConversionFailure(..)
-        | IntegralValueOutOfRange(..)
+    use rusqlite::Error::{InvalidColumnIndex, QueryReturnedNoRows, SqlInputError};
+    let Some(failure) = error.sqlite_error() else {
         // A damaged schema has other columns.
-        | InvalidColumnIndex(..)
-        | SqlInputError { .. }
-        | InvalidColumnType(..)
-        | QueryReturnedNoRows
-        | Utf8Error(..) => true,
-        _ => false,
-    }
+        return is_value(error) || matches!(error, InvalidColumnIndex(..) | QueryReturnedNoRows | SqlInputError { .. });
+    };
+    failure.extended_code == rusqlite::ffi::SQLITE_IOERR_SHORT_READ
+        || !matches!(
+            failure.code,
+            ErrorCode::CannotOpen
+                | ErrorCode::DatabaseBusy
+                | ErrorCode::DatabaseLocked
+                | ErrorCode::DiskFull
+                | ErrorCode::FileLockingProtocolFailed
+                | ErrorCode::OutOfMemory
+                | ErrorCode::PermissionDenied
+                | ErrorCode::ReadOnly
+                | ErrorCode::SystemIoFailure
+        )
 }
 
 fn damaged(reason: &str) -> rusqlite::Error {
     sqlite_error(rusqlite::ffi::SQLITE_CORRUPT, reason)
-}
-
-fn refused(reason: &str) -> rusqlite::Error {
-    sqlite_error(rusqlite::ffi::SQLITE_IOERR, reason)
 }
 
 fn sqlite_error(code: i32, reason: &str) -> rusqlite::Error {
@@ -518,14 +460,7 @@ fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
 
 fn failed(path: &Path, operation: &'static str) -> impl FnOnce(io::Error) -> DatabaseError {
     let path = path.to_owned();
-    move |source| DatabaseError::File { path, operation, source }
-}
-
-fn remove(path: &Path) -> io::Result<()> {
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => Ok(()),
-    }
+    move |source| DatabaseError::File(path, operation, source)
 }
 
 /// Opens the file, or makes one that its owner alone may read.
@@ -538,7 +473,11 @@ fn own_file(path: &Path) -> io::Result<File> {
 fn lock(path: &Path) -> Result<File, DatabaseError> {
     for suffix in ["", "-wal", "-shm"] {
         let path = with_suffix(path, suffix);
-        require_own(&path).map_err(|source| DatabaseError::Refused { path, source })?;
+        require_own(&path).map_err(|source| DatabaseError::Refused(path.clone(), source))?;
+        // Others could read a copy, as a backup makes one. A process that does not own the file cannot change that.
+        if fs::metadata(&path).is_ok_and(|found| found.permissions().mode() & 0o077 != 0) {
+            let _kept = fs::set_permissions(&path, fs::Permissions::from_mode(0o600));
+        }
     }
     let file = own_file(path).map_err(failed(path, "open"))?;
     let start = Instant::now();
@@ -547,16 +486,9 @@ fn lock(path: &Path) -> Result<File, DatabaseError> {
             return Err(failed(path, "lock")(error.into()));
         }
         if start.elapsed() >= LOCKED_FOR {
-            return Err(DatabaseError::Locked { path: path.to_owned() });
+            return Err(DatabaseError::Locked(path.to_owned()));
         }
         std::thread::sleep(Duration::from_millis(5));
-    }
-    // Others could read a copy, as a backup makes one. A process that does not own the file cannot change that.
-    for suffix in ["", "-wal", "-shm"] {
-        let path = with_suffix(path, suffix);
-        if fs::metadata(&path).is_ok_and(|found| found.permissions().mode() & 0o077 != 0) {
-            let _kept = fs::set_permissions(&path, fs::Permissions::from_mode(0o600));
-        }
     }
     Ok(file)
 }

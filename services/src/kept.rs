@@ -11,10 +11,7 @@ use serde_json::{Map, Value};
 
 use crate::clock;
 use crate::logging::Limiter;
-use crate::state_file;
 
-/// Most bytes of a file of an earlier version.
-const OLD_BYTES_MAX: u64 = 1 << 20;
 /// The interval of warnings about a database that cannot be written.
 const COMPLAINT_NS: u64 = 60_000_000_000;
 
@@ -25,8 +22,6 @@ pub(crate) struct Kept {
     schema: Schema,
     /// `None` before the first use, and after a failure.
     database: Option<Database>,
-    /// The database replaces a damaged one.
-    is_anew: bool,
     /// Values in the database, by table.
     written: BTreeMap<&'static str, Map<String, Value>>,
     log: Limiter,
@@ -34,36 +29,23 @@ pub(crate) struct Kept {
 
 impl Kept {
     pub(crate) fn new(path: PathBuf, schema: Schema) -> Self {
-        Self { path, schema, database: None, is_anew: false, written: BTreeMap::new(), log: Limiter::new(COMPLAINT_NS) }
+        Self { path, schema, database: None, written: BTreeMap::new(), log: Limiter::new(COMPLAINT_NS) }
     }
 
-    pub(crate) fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// The value in a table, or the one in the `old` file of an earlier version if none was ever written. Damage costs the value, and the log says so.
-    pub(crate) fn load<T: DeserializeOwned>(&mut self, table: &'static str, old: &Path) -> Option<T> {
-        self.try_load(table, old).unwrap_or_else(|reason| {
+    /// The value in a table; `None` if it was never written. Damage costs the value, and the log says so.
+    pub(crate) fn load<T: DeserializeOwned>(&mut self, table: &str) -> Option<T> {
+        self.try_load(table).unwrap_or_else(|reason| {
             tracing::warn!(reason, path = %self.path.display(), "the {table} of the process before cannot be read: it begins again");
             None
         })
     }
 
-    fn try_load<T: DeserializeOwned>(&mut self, table: &'static str, old: &Path) -> Result<Option<T>, String> {
-        let path = self.path.clone();
-        let read = self.open().and_then(|database| {
-            let rows = database.connection().and_then(|connection| rows(connection, table));
-            rows.map_err(|source| DatabaseError::Sqlite { path, source })
-        });
-        let value = match read.map_err(|error| error.to_string())? {
-            Some(fields) => Some(Value::Object(fields)),
-            None if self.is_anew => None,
-            None => {
-                let text = state_file::read(old, OLD_BYTES_MAX).map_err(|error| error.to_string())?;
-                text.map(|text| serde_json::from_str(&text)).transpose().map_err(|error| error.to_string())?
-            }
-        };
-        value.map(serde_json::from_value).transpose().map_err(|error| error.to_string())
+    fn try_load<T: DeserializeOwned>(&mut self, table: &str) -> Result<Option<T>, String> {
+        let database = self.open().map_err(|error| error.to_string())?;
+        let rows = database.connection().and_then(|connection| rows(connection, table));
+        let value =
+            rows.map_err(|error| error.to_string())?.map(|fields| serde_json::from_value(Value::Object(fields)));
+        value.transpose().map_err(|error| error.to_string())
     }
 
     /// Writes a changed value. If `is_synced`, it survives a power loss. After a failure the next call tries again. The log warns with `loss`, the cost
@@ -87,17 +69,9 @@ impl Kept {
 
     fn open(&mut self) -> Result<&mut Database, DatabaseError> {
         if self.database.is_none() {
-            let failed =
-                |source| DatabaseError::File { path: self.path.clone(), operation: "make the folder of", source };
-            self.path.parent().map_or(Ok(()), state_file::make_folder).map_err(failed)?;
-            let (database, set_aside) = Database::open(&self.path, self.schema)?;
-            if let Some(aside) = set_aside {
-                self.is_anew = true;
-                tracing::error!(reason = aside.reason, path = %aside.path.display(), "a damaged database was set aside, and a new one begins");
-            }
-            self.database = Some(database);
+            self.database = Some(Database::open(&self.path, self.schema)?);
         }
-        self.database.as_mut().ok_or_else(|| DatabaseError::Locked { path: self.path.clone() })
+        self.database.as_mut().ok_or_else(|| DatabaseError::Locked(self.path.clone()))
     }
 
     fn write(&mut self, table: &str, fields: &Map<String, Value>, is_synced: bool) -> Result<(), DatabaseError> {
@@ -110,7 +84,7 @@ impl Kept {
         };
         let is_long = database.bytes() > 2 * WAL_BYTES_MAX;
         let written = if is_synced || is_long { database.write_synced(work) } else { database.write(work) };
-        written.map_err(|source| DatabaseError::Sqlite { path, source })
+        written.map_err(|source| DatabaseError::Sqlite(path, source))
     }
 }
 
@@ -149,25 +123,23 @@ mod tests {
     #[test]
     fn values_outlive_the_process_and_a_blocked_folder() {
         let outer = tempfile::tempdir().unwrap();
-        let (folder, old) = (outer.path().join("state"), outer.path().join("old.json"));
+        let folder = outer.path().join("state");
         let path = folder.join("counts.db");
         let open = || Kept::new(path.clone(), SCHEMA);
         std::fs::write(&folder, "in the way").unwrap();
-        std::fs::write(&old, r#"{"first": 1, "last": null}"#).unwrap();
         let mut kept = open();
-        assert_eq!(kept.load::<Counts>("counts", &old), None, "the folder cannot be made");
+        assert_eq!(kept.load::<Counts>("counts"), None, "the folder cannot be made");
         let value = Counts { first: 2, last: Some(0.1) };
         kept.keep("counts", &value, true, "it is not kept");
         std::fs::remove_file(&folder).unwrap();
-        assert_eq!(kept.load("counts", &old), Some(Counts { first: 1, last: None }), "the file of an earlier version");
         kept.keep("counts", &value, false, "it is not kept");
         assert_eq!(read(&path, "counts"), Some(value.clone()));
         let mut next = open();
-        assert_eq!(next.load::<Counts>("counts", &old), None, "another process has it");
+        assert_eq!(next.load::<Counts>("counts"), None, "another process has it");
         drop(kept);
-        assert_eq!(next.load("counts", &old), Some(value));
+        assert_eq!(next.load("counts"), Some(value));
         let database = Connection::open(&path).unwrap();
         database.execute("UPDATE counts SET value = '{' WHERE field = 'last'", []).unwrap();
-        assert_eq!(next.load::<Counts>("counts", &old), None, "damaged");
+        assert_eq!(next.load::<Counts>("counts"), None, "damaged");
     }
 }

@@ -1,20 +1,12 @@
 //! Small files in the state directory, and outputs of commands. They are read with a limit, and replaced atomically.
 
 use std::ffi::OsString;
-use std::fs::{DirBuilder, File, OpenOptions, Permissions};
+use std::fs::{File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 pub(crate) use roomcast_ipc::own_file::require_own;
-
-/// Creates the state directory and its missing parents. Other users may not read it.
-///
-/// # Errors
-/// When it cannot be made.
-pub(crate) fn make_folder(path: &Path) -> io::Result<()> {
-    DirBuilder::new().recursive(true).mode(0o700).create(path)
-}
 
 /// The content of a text file; `None` if it is missing.
 ///
@@ -147,7 +139,7 @@ mod tests {
         std::fs::write(&path, [0xff]).unwrap();
         read(&path, 3).unwrap_err();
         let folder = directory.path().join("folder");
-        make_folder(&folder).unwrap();
+        std::fs::create_dir(&folder).unwrap();
         assert!(read(&folder, 3).unwrap_err().to_string().contains("no plain file"));
     }
 

@@ -251,8 +251,8 @@ struct Daemon {
     late: Vec<Answer>,
     /// From the intake to the scoring loop.
     queue: VecDeque<(Entry, u64)>,
-    /// To the journal's writer; true for an observation from the intake.
-    records: VecDeque<(Record, bool)>,
+    /// To the journal's writer.
+    records: VecDeque<Record>,
     writer: Writer,
     /// Deleted events, as far as the world knows.
     trimmed: usize,
@@ -566,7 +566,7 @@ impl World {
             190..199 => self.intrude(),
             199 => self.invent(),
             200..400 => return self.ingest(),
-            400..500 => return self.write(),
+            400..500 => self.write(),
             500..680 => return self.score(),
             680..780 => self.confirm(),
             780..900 => return self.plan(),
@@ -763,11 +763,10 @@ impl World {
                 if binds {
                     let start = (observation.source, observation.epoch);
                     daemon.appended += 1;
-                    daemon.records.push_back((Record::Port { start, port }, false));
+                    daemon.records.push_back(Record::Port { start, port });
                 }
                 daemon.appended += 1;
-                let record = Record::Event { observation: observation.clone(), is_of_this_boot: true };
-                daemon.records.push_back((record, true));
+                daemon.records.push_back((&observation).into());
                 let after_gap = missed > 0;
                 let entry =
                     Entry { observation: observation.clone(), received_ns: BootNs(now_ns), after_gap, quota, leaves };
@@ -852,32 +851,31 @@ impl World {
         ensure(!all || learned == said, || format!("{learned} sentences were learned, and {said} were said"))
     }
 
-    fn write(&mut self) -> Check {
+    fn write(&mut self) {
         if !self.awake() {
-            return Ok(());
+            return;
         }
-        let Some(waiting) = self.daemon.as_ref().map(|daemon| daemon.records.len()) else { return Ok(()) };
+        let Some(waiting) = self.daemon.as_ref().map(|daemon| daemon.records.len()) else { return };
         let count = self.rng.random_range(0..=waiting);
         self.hand_over(count);
         if self.rng.random_bool(0.2) {
-            self.sync()?;
+            self.sync();
         }
-        Ok(())
     }
 
     /// Writes the first `count` records, and those that the disk refused before.
     fn hand_over(&mut self, count: usize) {
         let Some(daemon) = &mut self.daemon else { return };
-        let observations = daemon.records.iter().take(count).filter(|(_, is_observation)| *is_observation).count();
-        let before = self.accepted.len() - daemon.records.iter().filter(|(_, is_observation)| *is_observation).count();
-        let batch: Vec<Record> = daemon.records.drain(..count).map(|(record, _)| record).collect();
+        let before = self.accepted.len() - events(&daemon.records);
+        let batch: Vec<Record> = daemon.records.drain(..count).collect();
+        let observations = events(&batch);
         daemon.written += count as u64;
         if batch.is_empty() && !self.is_refused {
             return;
         }
         self.is_refused = daemon.writer.write(batch).is_err();
-        self.trimmed += daemon.writer.trimmed() - daemon.trimmed;
-        daemon.trimmed = daemon.writer.trimmed();
+        self.trimmed += daemon.writer.trimmed - daemon.trimmed;
+        daemon.trimmed = daemon.writer.trimmed;
         let is_refused = self.is_refused;
         self.note(|| format!("the database takes {observations}, refused: {is_refused}"));
         match self.is_refused {
@@ -886,23 +884,21 @@ impl World {
         }
     }
 
-    fn sync(&mut self) -> Check {
-        let Some(daemon) = &mut self.daemon else { return Ok(()) };
+    fn sync(&mut self) {
+        let Some(daemon) = &mut self.daemon else { return };
         let is_synced = daemon.writer.sync().is_ok();
-        let trimmed = daemon.writer.trimmed() - daemon.trimmed;
-        (daemon.trimmed, self.trimmed) = (daemon.writer.trimmed(), self.trimmed + trimmed);
+        let trimmed = daemon.writer.trimmed - daemon.trimmed;
+        (daemon.trimmed, self.trimmed) = (daemon.writer.trimmed, self.trimmed + trimmed);
         if let Some(statement) = self.planted.after_trim().filter(|_| trimmed > 0) {
             daemon.writer.plant(statement);
         }
         if is_synced {
-            let waiting = daemon.records.iter().filter(|(_, is_observation)| *is_observation).count();
-            let written = &self.accepted[..self.accepted.len() - waiting];
+            let written = &self.accepted[..self.accepted.len() - events(&daemon.records)];
             self.safe.extend(written.iter().map(Observation::id).filter(|name| !self.refused.contains(name)));
             self.note(|| format!("the database is synced, {trimmed} of its events went"));
         } else {
             self.note(|| "the database cannot be synced".to_owned());
         }
-        Ok(())
     }
 
     /// The power fails: all processes end, and unsynced data is lost.
@@ -1004,16 +1000,16 @@ impl World {
                     let mut attributed = 0;
                     cycle.engine_mut().tell_moved(|moved| {
                         *appended += 1;
-                        records.push_back((moved.into(), false));
+                        records.push_back(moved.into());
                         attributed = *appended;
                     });
                     cycle.engine_mut().tell_gone(|gone| {
                         *appended += 1;
-                        records.push_back((gone, false));
+                        records.push_back(gone);
                     });
                     cycle.engine_mut().tell_outcomes(|outcome| {
                         *appended += 1;
-                        records.push_back((outcome.into(), false));
+                        records.push_back(outcome.into());
                         if outcome.by_fit {
                             attributed = *appended;
                             let name = outcome.event;
@@ -1344,9 +1340,9 @@ impl World {
         let Some(mut daemon) = self.daemon.take() else { return Ok(()) };
         self.tally.daemon_kills += 1;
         // The record in progress may be torn.
-        if let Some((record, _)) = daemon.records.front()
+        if let Some(record) = daemon.records.front()
             && !self.is_refused
-            && !daemon.writer.lacks_pages()
+            && !daemon.writer.lacks_pages
             && self.rng.random_bool(0.5)
         {
             self.disk.set_faults(1.0, 0.0);
@@ -1355,10 +1351,10 @@ impl World {
             self.disk.set_faults(self.faults.0, self.faults.1);
             self.tally.torn += 1;
         }
-        let lacks_pages = daemon.writer.lacks_pages();
+        let lacks_pages = daemon.writer.lacks_pages;
         self.lost_pages |= lacks_pages;
         // Records that the journal lacks may be lost: no score claims them, so their narrators still have them.
-        let kept = self.accepted.len() - daemon.records.iter().filter(|(_, is_observation)| *is_observation).count();
+        let kept = self.accepted.len() - events(&daemon.records);
         // The next daemon knows only events that are in the journal and in scores.
         let whole = daemon.records.is_empty()
             && !self.is_refused
@@ -1381,17 +1377,14 @@ impl World {
             self.unheard.extend(lost.sentence().map(|_| name));
         }
         // The service's history of unknown narrators reaches the next daemon, too.
-        let known: Vec<bool> = (self
-            .strangers
-            .iter()
-            .map(|(said, port)| *port == INVENTOR || said.source == 99 || self.is_known((said.source, said.epoch))))
-        .collect();
-        let mut known = known.into_iter();
-        self.strangers.retain(|_| known.next().unwrap_or_default());
+        let mut strangers = std::mem::take(&mut self.strangers);
+        strangers
+            .retain(|(said, port)| *port == INVENTOR || said.source == 99 || self.is_known((said.source, said.epoch)));
+        self.strangers = strangers;
         for narrator in &mut self.narrators {
             narrator.wire.clear();
         }
-        let (trimmed, noted) = (daemon.writer.trimmed(), daemon.trimmed);
+        let (trimmed, noted) = (daemon.writer.trimmed, daemon.trimmed);
         self.note(|| format!("daemon killed, {trimmed} of its events went, {noted} of them known"));
         if self.rng.random_bool(0.15) {
             self.damage_disk();
@@ -1414,7 +1407,7 @@ impl World {
 
     /// A sync has failed, and its lost pages are not rewritten yet.
     fn lacks_pages(&self) -> bool {
-        self.lost_pages || self.daemon.as_ref().is_some_and(|daemon| daemon.writer.lacks_pages())
+        self.lost_pages || self.daemon.as_ref().is_some_and(|daemon| daemon.writer.lacks_pages)
     }
 
     fn start_daemon(&mut self) -> Check {
@@ -1899,7 +1892,7 @@ impl World {
         for _ in 0..600 {
             self.pass(5 * MS);
             self.ingest()?;
-            self.write()?;
+            self.write();
             self.score()?;
             self.confirm();
             self.plan()?;
@@ -1938,6 +1931,11 @@ fn in_time(own: Vec<&Observation>, is_visitor: bool) -> Option<Vec<&Observation>
         kept.push(observation);
     }
     Some(kept)
+}
+
+/// How many events are among some records.
+fn events<'a>(records: impl IntoIterator<Item = &'a Record>) -> usize {
+    records.into_iter().filter(|record| matches!(record, Record::Event { .. })).count()
 }
 
 /// The number of a person that is given as a name or a number.
@@ -1980,7 +1978,7 @@ fn a_full_disk_takes_events_in_the_space_of_the_log() {
     let mut write = |writer: &mut Writer, count: u64| {
         let events = (sequence + 1..=sequence + count)
             .map(|sequence| Observation::of(sequence, Sentence::new("They do thing 1 with the pan.").unwrap()))
-            .map(|observation| Record::Event { observation, is_of_this_boot: true });
+            .map(|observation| Record::from(&observation));
         sequence += count;
         writer.write(events)
     };

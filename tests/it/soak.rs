@@ -13,7 +13,7 @@ use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_ipc::raw::{DecisionV1, NarrationV1, RoomScoresV1, narration_kind};
 use roomcast_ipc::{Domain, Sender, clock, sequence};
 use roomcast_services::config::{IntakeLimits, PlannerConfig};
-use roomcast_services::daemon::{Cycle, Engine, Entry, Intake, Journal, JournalOptions, Taken, journal};
+use roomcast_services::daemon::{Cycle, Engine, Entry, Intake, Journal, Taken, journal};
 use roomcast_services::narrator::{Account, Item, Who};
 use roomcast_services::no_model::NoModel;
 use roomcast_services::planner::Planner;
@@ -69,9 +69,9 @@ fn memory_and_descriptors_stay_flat() {
     let mut cycle = Cycle::new(Engine::new(pipeline, map, GroundingOptions::default(), 1).unwrap(), 250_000_000);
     let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
     // So small that the oldest events are deleted within the first tenth: memory for the deletion does not count as growth.
-    let options = JournalOptions { directory: directory.path().join("state"), bytes_max: 1 << 17, sync_ms: 1000 };
-    let (mut journal, _) = Journal::open(&options).unwrap();
-    let handle = journal.handle();
+    let state = directory.path().join("state");
+    let (journal, _) = Journal::open(&state, 1 << 17, Duration::from_secs(1)).unwrap();
+    let handle = journal.handle.clone();
     let mut account = Account::new("soak", sequence::random_epoch());
     let mut planner = Planner::new(&PlannerConfig { room_time_s: 0.001, ..PlannerConfig::default() }, 1);
 
@@ -93,7 +93,7 @@ fn memory_and_descriptors_stay_flat() {
             else {
                 panic!("{event}")
             };
-            let record = journal.append(&observation);
+            let record = journal.handle.append(&observation);
             cycle.enter(Entry::new(observation, BootNs(now_ns)), record);
         }
         cycle.step(BootNs(clock::monotonic_ns()), UnixNs(clock::unix_ns())).unwrap();
@@ -122,7 +122,7 @@ fn memory_and_descriptors_stay_flat() {
         }
     }
     let late = (resident_bytes(), descriptors());
-    let journal_bytes = std::fs::metadata(options.directory.join(journal::FILE)).unwrap().len();
+    let journal_bytes = std::fs::metadata(state.join(journal::FILE)).unwrap().len();
     println!(
         "{events} events in {:.0} s, {decided} decisions, database {journal_bytes} bytes",
         start.elapsed().as_secs_f64()
@@ -139,10 +139,10 @@ fn memory_and_descriptors_stay_flat() {
     assert!(late.0 <= early.0 + GROWTH_BYTES, "memory grows: {} to {} bytes", early.0, late.0);
     assert_eq!(late.1, early.1, "file descriptors leak");
     assert_eq!(handle.failures(), 0, "the journal could not be written");
-    assert!(0 < journal_bytes && journal_bytes <= 4 * options.bytes_max);
+    assert!(0 < journal_bytes && journal_bytes <= 4 << 17);
     assert_eq!(intake.counters().accepted, events);
     drop((journal, handle));
-    let (_, recovered) = Journal::open(&options).unwrap();
+    let (_, recovered) = Journal::open(&state, 1 << 17, Duration::from_secs(1)).unwrap();
     let newest = recovered.observations.last().unwrap().sentence().unwrap();
     assert_eq!(newest, format!("They do thing {}.", events - 1), "what the journal holds after all");
     drop((narration_out, narration_in, scores_out, scores_in, decisions, node));

@@ -16,8 +16,9 @@ use roomcast_database::rusqlite::ffi;
 
 /// Bytes that are written or read together.
 const BLOCK: usize = 512;
-/// The database among the files.
-const DATABASE: &str = "simulated";
+/// The files, the database first.
+const FILES: [&str; 4] = ["simulated", "simulated-wal", "simulated-journal", "temporary"];
+const DATABASE: &str = FILES[0];
 const NAME: &CStr = c"roomcast-simulated";
 
 counts! { DiskTally: failed_calls, failed_syncs, stale_reads, misdirected_reads, set_aside; also: }
@@ -60,7 +61,7 @@ struct Machine {
     rng: ChaCha8Rng,
     /// A failed sync counts as successful: a planted fault.
     hides_failed_syncs: bool,
-    files: BTreeMap<String, File>,
+    files: BTreeMap<&'static str, File>,
     /// No file can grow.
     is_full: bool,
     /// Probabilities that a call fails, and that a start reads a wrong block.
@@ -215,29 +216,22 @@ impl SimulatedDisk {
 #[repr(C)]
 struct Open {
     base: ffi::sqlite3_file,
-    /// Its name, from `Box::into_raw`.
-    name: *mut String,
+    name: &'static str,
 }
 
-/// The name of a file that SQLite has open.
-///
-/// # Safety
-/// `file` was opened by [`open`] and not closed yet.
-unsafe fn name_of<'a>(file: *mut ffi::sqlite3_file) -> &'a String {
-    // SAFETY: `open` has put an `Open` there, and its name lives until `close`.
-    unsafe { &*(*file.cast::<Open>()).name }
+/// Runs work on an open file, with its name and whether the call fails.
+fn of_file(file: *mut ffi::sqlite3_file, work: impl FnOnce(&mut Machine, &str, &mut File, bool) -> c_int) -> c_int {
+    // SAFETY: SQLite gives a file that `open` has opened.
+    let name = unsafe { (*file.cast::<Open>()).name };
+    with(|machine| {
+        let (fails, mut file) = (machine.fails(), machine.files.remove(name).unwrap_or_default());
+        let code = work(machine, name, &mut file, fails);
+        machine.files.insert(name, file);
+        code
+    })
 }
 
-/// Runs work on an open file, or lets the call fail.
-fn of_file(file: *mut ffi::sqlite3_file, code: c_int, work: impl FnOnce(&mut Machine, &str) -> c_int) -> c_int {
-    // SAFETY: SQLite gives files that it has open.
-    let name = unsafe { name_of(file) };
-    with(|machine| if machine.fails() { code } else { work(machine, name) })
-}
-
-unsafe extern "C" fn close(file: *mut ffi::sqlite3_file) -> c_int {
-    // SAFETY: the name was made by `Box::into_raw` in `open`, and SQLite closes a file once.
-    drop(unsafe { Box::from_raw((*file.cast::<Open>()).name) });
+unsafe extern "C" fn close(_file: *mut ffi::sqlite3_file) -> c_int {
     ffi::SQLITE_OK
 }
 
@@ -245,30 +239,30 @@ unsafe extern "C" fn read(file: *mut ffi::sqlite3_file, to: *mut c_void, count: 
     let (count, at) = (usize::try_from(count).unwrap(), usize::try_from(at).unwrap());
     // SAFETY: SQLite gives room for that many bytes.
     let to = unsafe { std::slice::from_raw_parts_mut(to.cast::<u8>(), count) };
-    of_file(file, ffi::SQLITE_IOERR_READ, |machine, name| {
-        let mut shown = machine.files.get(name).map(|file| file.shown.clone()).unwrap_or_default();
-        if let Some((block, given)) = machine.misreading.as_ref().filter(|_| name == DATABASE)
-            && let Some(there) = shown.get_mut(block * BLOCK..(block + 1) * BLOCK)
-        {
-            there.copy_from_slice(given);
+    of_file(file, |machine, name, file, fails| {
+        if fails {
+            return ffi::SQLITE_IOERR_READ;
         }
-        let found = shown.get(at..).unwrap_or_default();
+        let found = file.shown.get(at..).unwrap_or_default();
         let found = &found[..found.len().min(count)];
         to.fill(0);
         to[..found.len()].copy_from_slice(found);
+        if let Some((block, given)) = machine.misreading.as_ref().filter(|_| name == DATABASE)
+            && (block + 1) * BLOCK <= file.shown.len()
+        {
+            let wrong = (block * BLOCK..).zip(given).filter(|(place, _)| (at..at + count).contains(place));
+            wrong.for_each(|(place, byte)| to[place - at] = *byte);
+        }
         if found.len() == count { ffi::SQLITE_OK } else { ffi::SQLITE_IOERR_SHORT_READ }
     })
 }
 
 unsafe extern "C" fn write(file: *mut ffi::sqlite3_file, from: *const c_void, count: c_int, at: i64) -> c_int {
-    // SAFETY: SQLite gives that many bytes, and a file that it has open.
-    let (from, name) =
-        unsafe { (std::slice::from_raw_parts(from.cast::<u8>(), usize::try_from(count).unwrap()), name_of(file)) };
+    // SAFETY: SQLite gives that many bytes.
+    let from = unsafe { std::slice::from_raw_parts(from.cast::<u8>(), usize::try_from(count).unwrap()) };
     let at = usize::try_from(at).unwrap();
-    with(|machine| {
-        let fails = machine.fails();
+    of_file(file, |machine, _, file, fails| {
         let written = if fails { machine.rng.random_range(0..=from.len()) } else { from.len() };
-        let file = machine.files.entry(name.clone()).or_default();
         if machine.is_full && at + from.len() > file.shown.len() {
             return ffi::SQLITE_FULL;
         }
@@ -278,9 +272,11 @@ unsafe extern "C" fn write(file: *mut ffi::sqlite3_file, from: *const c_void, co
 }
 
 unsafe extern "C" fn truncate(file: *mut ffi::sqlite3_file, length: i64) -> c_int {
-    of_file(file, ffi::SQLITE_IOERR_TRUNCATE, |machine, name| {
+    of_file(file, |_, _, file, fails| {
+        if fails {
+            return ffi::SQLITE_IOERR_TRUNCATE;
+        }
         let length = usize::try_from(length).unwrap();
-        let file = machine.files.entry(name.to_owned()).or_default();
         file.shown.resize(length, 0);
         file.dirty.retain(|block| *block <= length / BLOCK);
         file.dirty.insert(length / BLOCK);
@@ -289,20 +285,15 @@ unsafe extern "C" fn truncate(file: *mut ffi::sqlite3_file, length: i64) -> c_in
 }
 
 unsafe extern "C" fn sync(file: *mut ffi::sqlite3_file, _flags: c_int) -> c_int {
-    // SAFETY: SQLite gives a file that it has open.
-    let name = unsafe { name_of(file) };
-    with(|machine| {
-        let fails = machine.fails();
-        let Machine { rng, files, .. } = machine;
-        let file = files.entry(name.clone()).or_default();
+    of_file(file, |machine, _, file, fails| {
         file.before.clone_from(&file.kept);
         for block in std::mem::take(&mut file.dirty) {
-            if !fails || rng.random_bool(0.5) {
+            if !fails || machine.rng.random_bool(0.5) {
                 file.keep(block);
                 continue;
             }
             // The system marks the page as written, and may return the disk's content from now on.
-            if rng.random_bool(0.5) {
+            if machine.rng.random_bool(0.5) {
                 let range = block * BLOCK..((block + 1) * BLOCK).min(file.shown.len());
                 let mut kept = file.kept.clone();
                 kept.resize(kept.len().max(range.end), 0);
@@ -321,11 +312,10 @@ unsafe extern "C" fn sync(file: *mut ffi::sqlite3_file, _flags: c_int) -> c_int 
 }
 
 unsafe extern "C" fn size(file: *mut ffi::sqlite3_file, out: *mut i64) -> c_int {
-    of_file(file, ffi::SQLITE_IOERR_FSTAT, |machine, name| {
-        let length = machine.files.get(name).map_or(0, |file| file.shown.len());
+    of_file(file, |_, _, file, fails| {
         // SAFETY: SQLite gives room for the answer.
-        unsafe { *out = i64::try_from(length).unwrap() };
-        ffi::SQLITE_OK
+        unsafe { *out = i64::try_from(file.shown.len()).unwrap() };
+        if fails { ffi::SQLITE_IOERR_FSTAT } else { ffi::SQLITE_OK }
     })
 }
 
@@ -373,16 +363,17 @@ static METHODS: ffi::sqlite3_io_methods = ffi::sqlite3_io_methods {
     xUnfetch: None,
 };
 
-/// The name as a string.
+/// The file of a path.
 ///
 /// # Safety
-/// `name` ends with a zero byte, or is null.
-unsafe fn text(name: *const c_char) -> String {
-    if name.is_null() {
-        return "temporary".to_owned();
+/// `path` ends with a zero byte, or is null for a temporary file.
+unsafe fn name_of(path: *const c_char) -> &'static str {
+    if path.is_null() {
+        return "temporary";
     }
     // SAFETY: the caller promises it.
-    unsafe { CStr::from_ptr(name) }.to_str().unwrap().to_owned()
+    let path = unsafe { CStr::from_ptr(path) }.to_str().unwrap();
+    FILES.into_iter().find(|name| path.ends_with(&format!("/{name}"))).unwrap()
 }
 
 unsafe extern "C" fn open(
@@ -392,17 +383,16 @@ unsafe extern "C" fn open(
     flags: c_int,
     out: *mut c_int,
 ) -> c_int {
-    // SAFETY: SQLite gives a name, or null for a temporary file.
-    let name = unsafe { text(name) };
+    // SAFETY: SQLite gives a path, or null for a temporary file.
+    let name = unsafe { name_of(name) };
     // SAFETY: SQLite gives room for a file of `szOsFile` bytes.
     let file = unsafe { &mut *file.cast::<Open>() };
     file.base.pMethods = std::ptr::null();
     if with(Machine::fails) {
         return ffi::SQLITE_IOERR;
     }
-    with(|machine| _ = machine.files.entry(name.clone()).or_default());
-    file.base.pMethods = &METHODS;
-    file.name = Box::into_raw(Box::new(name));
+    with(|machine| _ = machine.files.entry(name).or_default());
+    (file.base.pMethods, file.name) = (&METHODS, name);
     if !out.is_null() {
         // SAFETY: SQLite gives room for the answer, or null.
         unsafe { *out = flags };
@@ -411,51 +401,24 @@ unsafe extern "C" fn open(
 }
 
 unsafe extern "C" fn delete(_vfs: *mut ffi::sqlite3_vfs, name: *const c_char, _sync: c_int) -> c_int {
-    // SAFETY: SQLite gives a name.
-    let name = unsafe { text(name) };
+    // SAFETY: SQLite gives a path.
+    let name = unsafe { name_of(name) };
     with(|machine| {
         if machine.fails() {
-            ffi::SQLITE_IOERR_DELETE
-        } else {
-            machine.files.remove(&name);
-            ffi::SQLITE_OK
+            return ffi::SQLITE_IOERR_DELETE;
         }
+        machine.files.remove(name);
+        ffi::SQLITE_OK
     })
 }
 
 unsafe extern "C" fn access(_vfs: *mut ffi::sqlite3_vfs, name: *const c_char, _flags: c_int, out: *mut c_int) -> c_int {
-    // SAFETY: SQLite gives a name, and room for the answer.
-    unsafe { *out = c_int::from(with(|machine| machine.files.contains_key(&text(name)))) };
+    // SAFETY: SQLite gives a path, and room for the answer.
+    unsafe { *out = c_int::from(with(|machine| machine.files.contains_key(name_of(name)))) };
     ffi::SQLITE_OK
 }
 
-unsafe extern "C" fn full_path(
-    _vfs: *mut ffi::sqlite3_vfs,
-    name: *const c_char,
-    room: c_int,
-    out: *mut c_char,
-) -> c_int {
-    // SAFETY: SQLite gives a name, and room for `room` letters.
-    unsafe {
-        let name = CStr::from_ptr(name).to_bytes_with_nul();
-        if name.len() > usize::try_from(room).unwrap() {
-            return ffi::SQLITE_CANTOPEN;
-        }
-        std::ptr::copy_nonoverlapping(name.as_ptr().cast(), out, name.len());
-    }
-    ffi::SQLITE_OK
-}
-
-unsafe extern "C" fn randomness(_vfs: *mut ffi::sqlite3_vfs, count: c_int, out: *mut c_char) -> c_int {
-    for at in 0..usize::try_from(count).unwrap() {
-        let byte = MACHINE.with_borrow_mut(|machine| machine.as_mut().map_or(7, |machine| machine.rng.random::<u8>()));
-        // SAFETY: SQLite gives room for `count` bytes.
-        unsafe { *out.add(at) = byte.cast_signed() };
-    }
-    count
-}
-
-/// Registers the disk with SQLite, once in a process. Clock and sleep are those of the default VFS.
+/// Registers the disk with SQLite, once in a process. Clock, sleep and full paths are those of the default VFS.
 fn register() {
     // SAFETY: SQLite has a default VFS, which is never freed.
     let default = unsafe { *ffi::sqlite3_vfs_find(std::ptr::null()) };
@@ -466,8 +429,6 @@ fn register() {
         xOpen: Some(open),
         xDelete: Some(delete),
         xAccess: Some(access),
-        xFullPathname: Some(full_path),
-        xRandomness: Some(randomness),
         ..default
     }));
     // SAFETY: the VFS is complete, and is never freed.

@@ -23,7 +23,7 @@ use crate::line::{Age, LINE_BYTES_MAX, line_of};
 use crate::link::{Declare, Link, LinkError};
 use crate::namesake::{Order, Rival};
 use crate::robot::notify;
-use crate::spool::{self, Dated, Place, Spool, SpoolError, open_plain};
+use crate::spool::{self, Kept, Place, Spool, SpoolError, open_plain};
 use crate::stop::Stop;
 use crate::understood::Understood;
 use crate::wire::{self, Confirmed, Fault, Hex, Narrated, Said};
@@ -384,7 +384,7 @@ struct Hub {
     /// When every robot had confirmed the last line.
     done_ns: Option<u64>,
     /// Lines that the disk refused. They are saved before more lines are read.
-    unsaved: Vec<Dated>,
+    unsaved: Vec<Kept>,
 }
 
 impl Hub {
@@ -442,11 +442,11 @@ impl Hub {
         Ok(ended)
     }
 
-    fn read(bytes: &[u8], at: Place) -> Result<Option<Dated>, Fault> {
+    fn read(bytes: &[u8], at: Place) -> Result<Option<Kept>, Fault> {
         let is_first = at.at == bytes.len() as u64;
         let read = line_of(bytes, is_first, clock::unix_ns())?;
         let dated =
-            |(observation, Age { age_ns, ahead_ns })| Dated::new(observation, age_ns, Some(at)).with_ahead(ahead_ns);
+            |(observation, Age { age_ns, ahead_ns })| Kept::new(observation, age_ns, Some(at)).with_ahead(ahead_ns);
         Ok(read.map(dated))
     }
 

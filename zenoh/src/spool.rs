@@ -8,7 +8,7 @@
 use std::collections::VecDeque;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead, BufReader};
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
 use roomcast_database::rusqlite::{self, OptionalExtension, Row, params};
@@ -50,7 +50,7 @@ pub type SpoolError = DatabaseError;
 pub fn is_of_configuration(error: &SpoolError) -> bool {
     match error {
         DatabaseError::Refused { .. } => true,
-        DatabaseError::File { source, .. } => matches!(
+        DatabaseError::File(_, _, source) => matches!(
             source.kind(),
             io::ErrorKind::NotFound
                 | io::ErrorKind::AlreadyExists
@@ -106,38 +106,12 @@ enum Entry {
     },
 }
 
-/// An observation with its time, and how far the input was read with it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Dated {
-    observation: Observation,
-    observed_ns: u64,
-    observed_unix_ns: u64,
-    ahead_ns: u64,
-    input: Option<Place>,
-}
-
-impl Dated {
-    /// An observation of `age_ns` ago; `input` is the place behind it, if the input has places.
-    #[must_use]
-    pub fn new(observation: Observation, age_ns: u64, input: Option<Place>) -> Self {
-        let observed_ns = clock::monotonic_ns().saturating_sub(age_ns);
-        let observed_unix_ns = clock::unix_ns().saturating_sub(age_ns);
-        Self { observation, observed_ns, observed_unix_ns, ahead_ns: 0, input }
-    }
-
-    /// The input's clock was ahead by this time.
-    #[must_use]
-    pub fn with_ahead(self, ahead_ns: u64) -> Self {
-        Self { ahead_ns, ..self }
-    }
-}
-
-/// A stored event.
+/// An event of the queue.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Kept {
-    /// Its number.
+    /// Its number; 0 before it is stored.
     pub sequence: u64,
-    /// The clock of `observed_ns`.
+    /// The clock of `observed_ns`; 0 before it is stored.
     clock: Hex,
     observed_ns: u64,
     observed_unix_ns: u64,
@@ -149,6 +123,22 @@ pub struct Kept {
     /// The observation.
     #[serde(flatten)]
     pub observation: Observation,
+}
+
+impl Kept {
+    /// An observation of `age_ns` ago; `input` is the place behind it, if the input has places.
+    #[must_use]
+    pub fn new(observation: Observation, age_ns: u64, input: Option<Place>) -> Self {
+        let observed_ns = clock::monotonic_ns().saturating_sub(age_ns);
+        let observed_unix_ns = clock::unix_ns().saturating_sub(age_ns);
+        Self { sequence: 0, clock: Hex(0), observed_ns, observed_unix_ns, ahead_ns: 0, input, observation }
+    }
+
+    /// The input's clock was ahead by this time.
+    #[must_use]
+    pub fn with_ahead(self, ahead_ns: u64) -> Self {
+        Self { ahead_ns, ..self }
+    }
 }
 
 /// The queue.
@@ -178,27 +168,22 @@ impl Spool {
         let path = folder.join(FILE);
         let failed = |operation| {
             let path = path.clone();
-            move |source| SpoolError::File { path, operation, source }
+            move |source| SpoolError::File(path, operation, source)
         };
-        let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(folder);
-        made.map_err(failed("make the folder of"))?;
         if !path.exists() {
             begin(&path, read_old(folder).map_err(failed("read the queue of an earlier version before"))?)?;
         }
-        let (mut database, mut set_aside) = Database::open(&path, SCHEMA)?;
-        let failed_sqlite = |source| SpoolError::Sqlite { path: path.clone(), source };
+        let mut database = Database::open(&path, SCHEMA)?;
+        let failed_sqlite = |source| SpoolError::Sqlite(path.clone(), source);
         let found = match read(&database) {
             Err(error) if is_damage(&error) => {
-                set_aside = Some(database.start_anew(&error)?);
+                database.start_anew(&error)?;
                 read(&database)
             }
             found => found,
         };
         let Found { head, kept, given_up } = found.map_err(failed_sqlite)?;
         let path = path.display();
-        if let Some(reason) = set_aside.map(|aside| aside.reason) {
-            tracing::error!(%path, reason, "the spool is damaged and was set aside; is the disk failing?");
-        }
         if given_up > 0 {
             tracing::error!(%path, given_up, "the spool is damaged: narrations before the damage are given up; is the disk failing?");
         }
@@ -211,7 +196,7 @@ impl Spool {
         });
         let (clock, noted) = (Hex(clock_id()), (head.first, clock::monotonic_ns()));
         let mut spool = Self { database, head, clock, kept, keep, noted, has_failed: true, taken: 0 };
-        spool.write(|_| Ok(()), true)?;
+        spool.write(0, true)?;
         Ok(spool)
     }
 
@@ -275,7 +260,7 @@ impl Spool {
         }
         if count > 0 {
             let nothing = Observation { text: String::new(), kind: Kind::Sentence, person: Who::Somebody, count: 0 };
-            let nothing = Dated::new(nothing, 0, self.input());
+            let nothing = Kept::new(nothing, 0, self.input());
             self.append((0..count).map(|_| nothing.clone()).collect())?;
             self.taken += count;
         }
@@ -287,51 +272,34 @@ impl Spool {
     /// # Errors
     ///
     /// [`SpoolError`]; then none of them is stored.
-    pub fn append(&mut self, dated: Vec<Dated>) -> Result<(), SpoolError> {
-        let first = self.last() + 1;
-        for (sequence, dated) in (first..).zip(dated) {
-            let Dated { observation, observed_ns, observed_unix_ns, ahead_ns, input } = dated;
-            let clock = self.clock;
-            self.kept.push_back(Kept { sequence, clock, observed_ns, observed_unix_ns, ahead_ns, input, observation });
-        }
-        let begin = usize::try_from(first - self.head.first).unwrap_or(usize::MAX);
-        let fresh: Vec<Kept> = self.kept.range(begin.min(self.kept.len())..).cloned().collect();
-        let epoch = self.head.epoch;
-        let written =
-            self.write(|transaction| fresh.iter().try_for_each(|kept| insert(transaction, epoch, kept)), true);
+    pub fn append(&mut self, events: Vec<Kept>) -> Result<(), SpoolError> {
+        let (first, clock, old) = (self.last() + 1, self.clock, self.kept.len());
+        self.kept.extend((first..).zip(events).map(|(sequence, event)| Kept { sequence, clock, ..event }));
+        let written = self.write(old, true);
         if written.is_err() {
-            self.kept.truncate(begin);
+            self.kept.truncate(old);
         }
         self.trim();
         written
     }
 
-    /// Writes in one transaction, with the head and without the confirmed events; syncs on request. After a failure all events are written again.
-    fn write(
-        &mut self,
-        work: impl FnOnce(&Transaction<'_>) -> rusqlite::Result<()>,
-        sync: bool,
-    ) -> Result<(), SpoolError> {
+    /// Writes the events after the `old` ones and the head, and deletes the confirmed events, in one transaction; syncs on request. After a failure all
+    /// events are written again.
+    fn write(&mut self, old: usize, sync: bool) -> Result<(), SpoolError> {
         let Self { database, head, kept, has_failed, .. } = self;
         let last = head.first + kept.len() as u64 - 1;
         let all = std::mem::replace(has_failed, true);
-        if all && database.reopen()?.is_some() {
-            tracing::error!("the damaged spool was set aside, and a new one has the narrations; is the disk failing?");
+        if all {
+            database.reopen()?;
         }
         let write = |transaction: &Transaction<'_>| {
-            if all {
-                transaction.execute("DELETE FROM narration", [])?;
-                kept.iter().try_for_each(|kept| insert(transaction, head.epoch, kept))?;
-            } else {
-                work(transaction)?;
-                transaction
-                    .prepare_cached("DELETE FROM narration WHERE sequence < ?1")?
-                    .execute([head.first as i64])?;
-            }
+            let (old, first) = if all { (0, i64::MAX) } else { (old, head.first.cast_signed()) };
+            transaction.prepare_cached("DELETE FROM narration WHERE sequence < ?1")?.execute([first])?;
+            kept.range(old..).try_for_each(|kept| insert(transaction, head.epoch, kept))?;
             write_head(transaction, head, last)
         };
         let written = if sync { database.write_synced(write) } else { database.write(write) };
-        written.map_err(|source| SpoolError::Sqlite { path: database.path().to_owned(), source })?;
+        written.map_err(|source| SpoolError::Sqlite(database.path().to_owned(), source))?;
         self.has_failed = false;
         self.noted = (self.head.first, clock::monotonic_ns());
         Ok(())
@@ -359,19 +327,9 @@ impl Spool {
         let new = self.head.first.saturating_sub(first);
         if new >= NOTE_EACH || (new > 0 && now_ns.saturating_sub(at_ns) >= NOTE_NS) {
             self.noted.1 = now_ns;
-            self.write(|_| Ok(()), false)?;
+            self.write(self.kept.len(), false)?;
         }
         Ok(())
-    }
-
-    /// Checkpoints the log into the file, so that a copy of the file is a copy of the queue.
-    ///
-    /// # Errors
-    ///
-    /// When the disk refuses.
-    #[doc(hidden)]
-    pub fn compact(&mut self) -> rusqlite::Result<()> {
-        self.database.erase()
     }
 
     fn forget(&mut self, count: usize) {
@@ -386,7 +344,7 @@ impl Spool {
 fn begin(path: &Path, old: Option<Found>) -> Result<(), SpoolError> {
     let found = old.unwrap_or_else(|| Found { head: Some(Head::new(Some(Place::default()))), ..Found::default() });
     let unfinished = path.with_extension("new");
-    let (mut database, _) = Database::open(&unfinished, SCHEMA)?;
+    let mut database = Database::open(&unfinished, SCHEMA)?;
     let written = database.write(|transaction| {
         transaction.execute_batch("DELETE FROM head; DELETE FROM narration")?;
         let Some(head) = &found.head else { return Ok(()) };
@@ -394,7 +352,7 @@ fn begin(path: &Path, old: Option<Found>) -> Result<(), SpoolError> {
         write_head(transaction, head, head.first + found.kept.len() as u64 - 1)
     });
     let erased = written.and_then(|()| database.erase());
-    erased.map_err(|source| SpoolError::Sqlite { path: unfinished.clone(), source })?;
+    erased.map_err(|source| SpoolError::Sqlite(unfinished.clone(), source))?;
     drop(database);
     if found.given_up > 0 {
         tracing::error!(
@@ -407,7 +365,7 @@ fn begin(path: &Path, old: Option<Found>) -> Result<(), SpoolError> {
         let _removed = fs::remove_file(path.with_extension(extension));
     }
     let named = fs::rename(&unfinished, path);
-    named.map_err(|source| SpoolError::File { path: unfinished, operation: "rename", source })
+    named.map_err(|source| SpoolError::File(unfinished, "rename", source))
 }
 
 fn insert(transaction: &Transaction<'_>, epoch: Hex, kept: &Kept) -> rusqlite::Result<()> {
@@ -569,7 +527,7 @@ mod tests {
         for _ in 0..count {
             let mut input = spool.input().unwrap_or_default();
             input.at += 10;
-            spool.append(vec![Dated::new(observation("They sit."), 7, Some(input))]).unwrap();
+            spool.append(vec![Kept::new(observation("They sit."), 7, Some(input))]).unwrap();
         }
     }
 
@@ -652,7 +610,7 @@ mod tests {
         append(&mut spool, 5);
         let other = rusqlite::Connection::open(folder.path().join(FILE)).unwrap();
         other.execute_batch("BEGIN IMMEDIATE").unwrap();
-        spool.append(vec![Dated::new(observation("They sit."), 0, None)]).unwrap_err();
+        spool.append(vec![Kept::new(observation("They sit."), 0, None)]).unwrap_err();
         assert_eq!(spool.last(), 5, "a narration that is not on the disk is not kept");
         other.execute_batch("ROLLBACK").unwrap();
         append(&mut spool, 1);
@@ -664,7 +622,7 @@ mod tests {
     fn narrations_that_wait_for_the_disk_keep_their_age() {
         let folder = tempfile::tempdir().unwrap();
         let mut spool = open(folder.path());
-        let dated = Dated::new(observation("They sit."), 7, None);
+        let dated = Kept::new(observation("They sit."), 7, None);
         // Time of the real clock passes for it.
         std::thread::sleep(std::time::Duration::from_millis(5));
         spool.append(vec![dated]).unwrap();
@@ -699,7 +657,7 @@ mod tests {
         let mut spool = open(folder.path());
         let hour_ns = 3_600_000_000_000;
         let ages = [0, 60_000_000_000, clock::monotonic_ns() + hour_ns, clock::monotonic_ns() + 72 * hour_ns];
-        spool.append(ages.map(|age_ns| Dated::new(observation("They sit."), age_ns, None)).into()).unwrap();
+        spool.append(ages.map(|age_ns| Kept::new(observation("They sit."), age_ns, None)).into()).unwrap();
         for (number, age_ns) in (1..).zip(ages) {
             let since_ns = spool.age_ns(spool.get(number).unwrap()).saturating_sub(age_ns);
             assert!(since_ns < 60_000_000_000, "{age_ns}: {since_ns}");
@@ -761,7 +719,7 @@ mod tests {
         append(&mut spool, 130);
         assert_eq!((spool.first(), spool.last()), (31, 130));
         for _ in 0..50 {
-            let dated = || Dated::new(observation("They sit."), 0, None);
+            let dated = || Kept::new(observation("They sit."), 0, None);
             spool.append((0..100).map(|_| dated()).collect()).unwrap();
             spool.confirm(spool.last()).unwrap();
         }

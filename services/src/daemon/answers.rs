@@ -152,7 +152,8 @@ fn forget<M: LanguageModel>(
     engine.forget(person, |observation| is_theirs(observation, Some(observation.person)));
     let until = Instant::now() + FORGET_PATIENCE;
     let in_file = engine.persons_mut().file.set(person, None);
-    let in_journal = journal.map_or(Ok(0), |journal| journal.forget(person, is_theirs, until));
+    let in_journal =
+        journal.map_or(Ok(0), |journal| journal.ask(move |writer| writer.forget(person, &is_theirs), until));
     let records = match &in_journal {
         Ok(records) => *records,
         // The rows are deleted, and a later sync erases them: a name that no person has is no success.
@@ -186,7 +187,8 @@ pub(super) fn forget_habits<M: LanguageModel>(
 ) -> io::Result<()> {
     let Some(journal) = journal else { return Ok(()) };
     let Some(memory) = engine.habits_mut().memory_if_changed() else { return Ok(()) };
-    journal.forget_habits(memory, until)
+    journal.keep_habits(memory);
+    journal.ask(|writer| writer.forget_habits(), until)
 }
 
 #[cfg(test)]

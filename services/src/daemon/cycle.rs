@@ -77,7 +77,7 @@ impl<M: LanguageModel> Cycle<M> {
     /// Restores the events of a former run, and lets `intake` know them as duplicates. Returns the number of events that were left out because they
     /// cost more tokens than a window holds.
     pub fn restore(&mut self, recovered: Recovered, intake: &mut Intake, now_ns: BootNs, now_unix_ns: UnixNs) -> usize {
-        recovered.taken().for_each(|event| intake.restore(event));
+        recovered.taken.iter().for_each(|event| intake.restore(*event));
         recovered.ports.iter().for_each(|(name, port)| intake.restore_port(*name, *port));
         self.engine.settle(recovered.settled.clone());
         self.engine.restore(recovered, now_ns, now_unix_ns)

@@ -3,24 +3,21 @@
 //! Observations are kept as they came. The daemon's attribution and the model's expectation are kept with them, so that a restarted daemon believes
 //! the same. Events from before a change of the map are not read with the new map: a belief keeps their result.
 //!
-//! A commit outlives the daemon at once; a power loss takes at most the last [`JournalOptions::sync_ms`]. The tables are in `journal/schema.sql`,
+//! A commit outlives the daemon at once; a power loss takes at most the time between two syncs. The tables are in `journal/schema.sql`,
 //! and its migrations in the other `.sql` files, in the order of `SCHEMA` below.
 
 use std::fs;
 use std::io;
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, bounded};
-use roomcast_core::ids::PersonId;
-use roomcast_core::narration::Observation;
 pub use roomcast_database::DatabaseError as JournalError;
 use roomcast_database::rusqlite::{Error, ErrorCode};
 use roomcast_database::{Database, Schema};
-use roomcast_ipc::Sender as Port;
 
 pub use self::learned::HabitRows;
 pub use self::old::memory as old_memory;
@@ -31,7 +28,6 @@ pub use self::recovered::Recovered;
 use self::writer::SyncDue;
 pub use self::writer::Writer;
 use super::habits::Memory;
-use crate::state_file;
 
 mod forget;
 mod learned;
@@ -56,19 +52,10 @@ pub const SCHEMA: Schema = Schema {
 /// Records that may wait for the disk before the sender does.
 const QUEUE: usize = 8_192;
 
-/// Where and how the journal is kept.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct JournalOptions {
-    /// The state directory.
-    pub directory: PathBuf,
-    /// Most bytes of events, about.
-    pub bytes_max: u64,
-    /// Milliseconds between two syncs to the disk.
-    pub sync_ms: u64,
-}
-
+/// The threads' view of the journal.
 #[derive(Debug, Default)]
 struct Progress {
+    sink: Mutex<Sink>,
     written: Mutex<u64>,
     grew: Condvar,
     bytes: AtomicU64,
@@ -79,12 +66,6 @@ struct Progress {
     is_unsynced: AtomicBool,
 }
 
-impl Progress {
-    fn wait_habits(&self, memory: Memory) {
-        *self.habits.lock().unwrap_or_else(PoisonError::into_inner) = Some(memory);
-    }
-}
-
 /// Work for the writer.
 enum Work {
     /// Append a record.
@@ -93,8 +74,8 @@ enum Work {
     Do(Box<dyn FnOnce(&mut Writer) + Send>),
 }
 
-/// The way to the writer, for all threads.
-#[derive(Debug)]
+/// The way to the writer.
+#[derive(Debug, Default)]
 struct Sink {
     /// `None` after the end of the journal.
     work: Option<Sender<Work>>,
@@ -102,75 +83,39 @@ struct Sink {
     appended: u64,
 }
 
-impl Sink {
-    /// Waits if the queue is full. The holder of the sink waits with it, so that records have the numbers of their order.
-    fn send(&mut self, record: Record) -> u64 {
-        if let Some(work) = &self.work
-            && work.send(Work::Append(record)).is_ok()
-        {
-            self.appended += 1;
-        }
-        self.appended
-    }
-}
-
-/// The journal of a running daemon.
+/// The journal of a running daemon. It ends with this.
 #[derive(Debug)]
 pub struct Journal {
-    sink: Arc<Mutex<Sink>>,
-    progress: Arc<Progress>,
+    /// Access for other threads.
+    pub handle: JournalHandle,
     writer: Option<JoinHandle<()>>,
 }
 
 impl Journal {
-    /// Opens or begins the database and reads it.
+    /// Opens or begins the database in the state directory and reads it. Its events have about `bytes_max` at most.
     ///
     /// # Errors
     ///
     /// [`JournalError`]; damage is no error.
-    pub fn open(options: &JournalOptions) -> Result<(Self, Recovered), JournalError> {
-        let directory = &options.directory;
+    pub fn open(directory: &Path, bytes_max: u64, sync_every: Duration) -> Result<(Self, Recovered), JournalError> {
         let path = directory.join(FILE);
-        let failed = |operation| {
-            let path = path.clone();
-            move |source| JournalError::File { path, operation, source }
-        };
-        state_file::make_folder(directory).map_err(failed("make the folder of"))?;
         let opened = Database::open(&path, SCHEMA)?;
-        let (mut writer, recovered) = Writer::open(opened, Some(directory.clone()), options.bytes_max, &boot_id())
-            .map_err(|source| JournalError::Sqlite { path: path.clone(), source })?;
-        let sync_every = Duration::from_millis(options.sync_ms.max(1));
-        let progress = Arc::clone(&writer.progress);
+        let (mut writer, recovered) = Writer::open(opened, Some(directory.to_owned()), bytes_max, &boot_id())
+            .map_err(|source| JournalError::Sqlite(path.clone(), source))?;
+        let handle = JournalHandle { progress: Arc::clone(&writer.progress) };
         let (work, queue) = bounded(QUEUE);
+        handle.sink().work = Some(work);
         let writer = std::thread::Builder::new()
             .name("journal".to_owned())
             .spawn(move || run(&mut writer, &queue, sync_every))
-            .map_err(failed("start the writer of"))?;
-        let sink = Arc::new(Mutex::new(Sink { work: Some(work), appended: 0 }));
-        Ok((Self { sink, progress, writer: Some(writer) }, recovered))
-    }
-
-    /// Hands an observation to the writer; returns its number, for [`JournalHandle::wait_for`].
-    pub fn append(&mut self, observation: &Observation) -> u64 {
-        let record = Record::Event { observation: observation.clone(), is_of_this_boot: true };
-        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(record)
-    }
-
-    /// Hands to the writer which port speaks for a start of a source, by its number and epoch.
-    pub fn bind(&mut self, start: (u64, u64), port: Port) {
-        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(Record::Port { start, port });
-    }
-
-    /// The handle for other threads.
-    #[must_use]
-    pub fn handle(&self) -> JournalHandle {
-        JournalHandle { sink: Arc::clone(&self.sink), progress: Arc::clone(&self.progress) }
+            .map_err(|source| JournalError::File(path, "start the writer of", source))?;
+        Ok((Self { handle, writer: Some(writer) }, recovered))
     }
 }
 
 impl Drop for Journal {
     fn drop(&mut self) {
-        drop(self.sink.lock().unwrap_or_else(PoisonError::into_inner).work.take());
+        drop(self.handle.sink().work.take());
         if let Some(writer) = self.writer.take() {
             // A writer that panicked has said so; there is nothing left to do here.
             let _ended = writer.join();
@@ -178,65 +123,44 @@ impl Drop for Journal {
     }
 }
 
-/// A view of the journal's progress.
+/// Access to the journal, for any thread.
 #[derive(Debug, Clone)]
 pub struct JournalHandle {
-    sink: Arc<Mutex<Sink>>,
     progress: Arc<Progress>,
 }
 
 impl JournalHandle {
-    /// Hands a record to the writer; returns its number, for [`JournalHandle::wait_for`].
+    fn sink(&self) -> MutexGuard<'_, Sink> {
+        self.progress.sink.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Hands a record to the writer; returns its number, for [`JournalHandle::wait_for`]. Waits if the queue is full, and all other threads with it, so
+    /// that records have the numbers of their order.
     pub fn append(&self, record: impl Into<Record>) -> u64 {
-        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(record.into())
-    }
-
-    /// Takes a person's observations out of the database: `is_theirs` decides, and gets the person that the daemon found. Gives their
-    /// number. Waits for it `until` then.
-    ///
-    /// # Errors
-    ///
-    /// When the disk refuses, or takes longer; the database is whole all the same, and may hold all or none of it.
-    pub fn forget(
-        &self,
-        person: PersonId,
-        is_theirs: impl Fn(&Observation, Option<PersonId>) -> bool + Send + 'static,
-        until: Instant,
-    ) -> io::Result<usize> {
-        self.ask(move |writer| writer.forget(person, &is_theirs), until)
-    }
-
-    /// Replaces the persons with a name that the home gave. They are on the disk when this returns.
-    ///
-    /// # Errors
-    /// When the disk refuses, or takes longer than until then.
-    pub(super) fn replace_persons(&self, persons: Vec<KeptPerson>, until: Instant) -> io::Result<()> {
-        self.ask(move |writer| writer.write_persons(persons), until)
+        let mut sink = self.sink();
+        let is_sent = sink.work.as_ref().is_some_and(|work| work.send(Work::Append(record.into())).is_ok());
+        sink.appended += u64::from(is_sent);
+        sink.appended
     }
 
     /// Passes habits to the writer. If it cannot write them, the next ones replace them.
     pub(super) fn keep_habits(&self, memory: Memory) {
-        self.progress.wait_habits(memory);
+        *self.progress.habits.lock().unwrap_or_else(PoisonError::into_inner) = Some(memory);
         if let Some(queue) = self.queue() {
             // If the queue is full, they wait for the next ones, or for the end.
-            let _sent = queue.try_send(Work::Do(Box::new(Writer::write_waiting_habits)));
+            let _sent = queue.try_send(Work::Do(Box::new(|writer| _ = writer.tries(Writer::write_waiting_habits))));
         }
     }
 
-    /// Writes the remaining habits after a person was forgotten: no byte of the old rows stays.
+    fn queue(&self) -> Option<Sender<Work>> {
+        self.sink().work.clone()
+    }
+
+    /// Lets the writer do some work behind the records before it, and waits for that `until` then.
     ///
     /// # Errors
-    /// When the disk refuses, or takes longer than until then. The habits are written later.
-    pub(super) fn forget_habits(&self, memory: Memory, until: Instant) -> io::Result<()> {
-        self.progress.wait_habits(memory);
-        self.ask(|writer| writer.forget_habits(), until)
-    }
-
-    fn queue(&self) -> Option<Sender<Work>> {
-        self.sink.lock().unwrap_or_else(PoisonError::into_inner).work.clone()
-    }
-
-    fn ask<T: Send + 'static>(
+    /// When the disk refuses, or takes longer. The database has all of the work or none.
+    pub(super) fn ask<T: Send + 'static>(
         &self,
         work: impl FnOnce(&mut Writer) -> Result<T, Error> + Send + 'static,
         until: Instant,
@@ -305,26 +229,20 @@ fn run(writer: &mut Writer, queue: &Receiver<Work>, sync_every: Duration) {
                 due.wrote(Instant::now());
             }
             Err(RecvTimeoutError::Timeout) if writer.is_behind() => {
-                let written = writer.write([]);
-                if written.is_ok() {
+                if writer.tries(|writer| writer.write([])) {
                     due.wrote(Instant::now());
                 }
-                writer.note(written);
             }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => break,
         }
         if due.at().is_some_and(|at| Instant::now() >= at) {
-            let done = writer.sync();
-            due.synced(done.is_ok(), Instant::now());
-            writer.note(done);
+            due.synced(writer.tries(Writer::sync), Instant::now());
         }
     }
-    let written = writer.write([]);
-    writer.note(written);
-    writer.write_waiting_habits();
-    let done = writer.sync().or_else(|_| writer.sync());
-    writer.note(done);
+    writer.tries(|writer| writer.write([]));
+    writer.tries(Writer::write_waiting_habits);
+    writer.tries(|writer| writer.sync().or_else(|_| writer.sync()));
 }
 
 /// Does some work, and what waits behind it.
@@ -347,8 +265,7 @@ fn do_work(writer: &mut Writer, first: Work, queue: &Receiver<Work>) {
 fn append(writer: &mut Writer, batch: Vec<Record>) {
     let records = batch.len() as u64;
     if records > 0 {
-        let written = writer.write(batch);
-        writer.note(written);
+        writer.tries(|writer| writer.write(batch));
         *writer.progress.written.lock().unwrap_or_else(PoisonError::into_inner) += records;
         writer.progress.grew.notify_all();
     }
@@ -361,20 +278,16 @@ fn with_kind(error: Error) -> io::Error {
 
 /// Monotonic times of another boot say nothing about this one.
 fn boot_id() -> [u8; 16] {
-    let mut id = [0; 16];
     let text = fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
-    let digits: Vec<u8> = text.chars().filter_map(|digit| digit.to_digit(16)).map(|digit| digit as u8).collect();
-    for (byte, pair) in id.iter_mut().zip(digits.chunks_exact(2)) {
-        *byte = pair[0] << 4 | pair[1];
-    }
-    id
+    let id = hex::decode(text.trim().replace('-', "")).unwrap_or_default();
+    id.try_into().unwrap_or_default()
 }
 
 /// The content of the database in a state directory, also while a daemon uses it.
 ///
 /// # Errors
 /// When there is none, or it cannot be read.
-pub fn look(directory: &std::path::Path) -> Result<Recovered, Error> {
+pub fn look(directory: &Path) -> Result<Recovered, Error> {
     store::recover(&roomcast_database::look(&directory.join(FILE))?.transaction()?)
 }
 

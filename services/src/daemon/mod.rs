@@ -41,7 +41,6 @@ use roomcast_core::guess::Counts;
 use roomcast_core::habits::HabitsOptions;
 use roomcast_core::ids::BootNs;
 use roomcast_core::scorer::{IsStopped, LanguageModel, ModelInfo, TokenCounter};
-use roomcast_database::SetAside;
 use roomcast_llama::LlamaModel;
 use roomcast_llama::affinity::{self, AffinityError};
 use roomcast_llama::memory;
@@ -74,7 +73,7 @@ pub use engine::{Engine, EngineError, Entry, MapError};
 pub use habits::{HomeHabits, Memory};
 pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, VisitsLine};
 pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
-pub use journal::{HabitRows, Journal, JournalError, JournalHandle, JournalOptions, KeptPerson, Recovered};
+pub use journal::{HabitRows, Journal, JournalError, JournalHandle, KeptPerson, Recovered};
 pub use map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 pub use person_question::{
     By, NoisySensor, PersonAnswer, PersonLine, PersonQuestion, PlaceLine, UNDERSTOOD_MAX, UnderstoodLine,
@@ -91,9 +90,11 @@ const SUPERVISE: Duration = Duration::from_millis(500);
 const CLEAN_UP_NS: u64 = 1_000_000_000;
 const LOG_INTERVAL_NS: u64 = 5_000_000_000;
 
-fn journal_options(config: &DaemonConfig) -> Option<JournalOptions> {
-    let directory = config.state_directory()?;
-    Some(JournalOptions { directory, bytes_max: config.journal_bytes, sync_ms: config.journal_sync_ms })
+/// The journal and its content; none without a state directory.
+fn open_journal(config: &DaemonConfig) -> Result<(Option<Journal>, Recovered), JournalError> {
+    let Some(directory) = config.state_directory() else { return Ok((None, Recovered::default())) };
+    let sync_every = Duration::from_millis(config.journal_sync_ms.max(1));
+    Journal::open(&directory, config.journal_bytes, sync_every).map(|(journal, recovered)| (Some(journal), recovered))
 }
 
 /// Why the daemon ended or failed to start.
@@ -181,10 +182,9 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let ports = Ports::open(&node)?;
     let narration = node.subscriber::<NarrationV1>()?;
     let (handle, prefetching) = prefetch_thread::pair(config.scoring.prepare_share, config.scoring.prepare_on_battery);
-    let opened = journal_options(&config.daemon).map(|options| Journal::open(&options)).transpose()?;
-    let (journal, mut recovered) =
-        opened.map_or((None, Recovered::default()), |(journal, recovered)| (Some(journal), recovered));
-    let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal.as_ref().map(Journal::handle));
+    let (journal, mut recovered) = open_journal(&config.daemon)?;
+    let journal_handle = journal.as_ref().map(|journal| journal.handle.clone());
+    let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal_handle.clone());
     let habits = recovered.habits.take();
     let Some(loaded) = stop.while_loading(|| load(config, names, habits, model, prefetching.is_stopped())) else {
         return Ok(());
@@ -204,7 +204,7 @@ fn run_with<M: LanguageModel + Send + 'static>(
         kept_map,
         save_ns: (config.habits.save_s * 1e9) as u64,
         sentence_tokens_max,
-        journal: journal.as_ref().map(Journal::handle),
+        journal: journal_handle,
         counters: Arc::clone(&counters),
         progress: progress.clone(),
         handle: ahead.is_some().then_some(handle),
@@ -364,7 +364,6 @@ fn first_tally<M: LanguageModel>(engine: &Engine<M>, restored: u64) -> StatusRes
 /// Restores the events of a former run. Returns their number.
 fn restore<M: LanguageModel>(recovered: Recovered, cycle: &mut Cycle<M>, intake: &mut Intake) -> u64 {
     let (restored, damaged) = (recovered.observations.len() as u64, recovered.damaged);
-    let set_aside = recovered.set_aside.clone();
     let costly = cycle.restore(recovered, intake, clock::monotonic_ns(), clock::unix_ns());
     if costly > 0 {
         let most = cycle.engine().sentence_tokens_max();
@@ -374,14 +373,6 @@ fn restore<M: LanguageModel>(recovered: Recovered, cycle: &mut Cycle<M>, intake:
         );
     }
     tracing::info!(restored, damaged, "state database read");
-    if let Some(SetAside { path, reason, rows }) = set_aside {
-        tracing::error!(
-            reason,
-            rows,
-            path = %path.display(),
-            "the state database is damaged and was set aside: a new one begins with the rows that could be read, and other events are lost"
-        );
-    }
     if damaged > 0 {
         tracing::warn!(damaged, "events of the state database are damaged, and were left out");
     }

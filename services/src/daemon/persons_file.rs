@@ -90,7 +90,8 @@ impl PersonsFile {
             return Err(std::io::Error::new(std::io::ErrorKind::StorageFull, reason));
         }
         if let Some(journal) = &self.journal {
-            journal.replace_persons(persons.clone(), Instant::now() + PATIENCE)?;
+            let new = persons.clone();
+            journal.ask(|writer| writer.write_persons(new), Instant::now() + PATIENCE)?;
         }
         self.names = read(&persons);
         self.persons = persons;
@@ -122,7 +123,7 @@ fn check(persons: &[KeptPerson]) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::{Journal, JournalOptions};
+    use crate::daemon::Journal;
 
     fn kept(number: u32, name: &str) -> KeptPerson {
         KeptPerson { number: PersonId(number), name: name.to_owned(), resident: None, former: Vec::new() }
@@ -131,9 +132,8 @@ mod tests {
     #[test]
     fn names_outlive_the_daemon() {
         let directory = tempfile::tempdir().unwrap();
-        let options = JournalOptions { directory: directory.path().into(), bytes_max: 1 << 20, sync_ms: 1000 };
-        let (journal, recovered) = Journal::open(&options).unwrap();
-        let mut file = PersonsFile::new(recovered.persons, Some(journal.handle()));
+        let (journal, recovered) = Journal::open(directory.path(), 1 << 20, Duration::from_secs(1)).unwrap();
+        let mut file = PersonsFile::new(recovered.persons, Some(journal.handle.clone()));
         assert!(file.persons().is_empty());
         let ada = KeptPerson { resident: Some(true), ..kept(3, "Ada") };
         for person in [ada.clone(), kept(4, "ben"), ada.renamed("Ada L.")] {

@@ -10,7 +10,7 @@ use roomcast_ipc::raw::{DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, 
 use roomcast_llama::LlamaModel;
 
 use super::{
-    Cycle, Entry, Intake, Journal, Loaded, PersonsFile, SentenceCost, Taken, Zone, journal, journal_options, load,
+    Cycle, Entry, Intake, Journal, Loaded, PersonsFile, SentenceCost, Taken, Zone, journal, load, open_journal,
 };
 use crate::config::Config;
 use crate::fleet_day::{self, Outcome, ROBOTS, Track};
@@ -31,9 +31,9 @@ struct Daemon {
 
 impl Daemon {
     fn start(config: &Config, now_ns: BootNs, now_unix_ns: UnixNs) -> Self {
-        let options = journal_options(&config.daemon).unwrap();
-        let (journal, mut recovered) = Journal::open(&options).unwrap();
-        let names = PersonsFile::new(std::mem::take(&mut recovered.persons), Some(journal.handle()));
+        let (journal, mut recovered) = open_journal(&config.daemon).unwrap();
+        let journal = journal.unwrap();
+        let names = PersonsFile::new(std::mem::take(&mut recovered.persons), Some(journal.handle.clone()));
         let Loaded { engine, token_counter, .. } =
             load(config, names, recovered.habits.take(), setup::configured_model, Arc::new(|| true)).unwrap();
         let mut cycle = Cycle::new(engine, config.daemon.heartbeat_ms * 1_000_000);
@@ -48,13 +48,13 @@ impl Daemon {
         let Taken::Accepted { observation, .. } = self.intake.take(message, Sender::simulated(port), now_ns) else {
             panic!("not accepted: {}", message.text())
         };
-        let record = self.journal.append(&observation);
+        let record = self.journal.handle.append(&observation);
         self.cycle.enter(Entry::new(observation, now_ns), record);
     }
 
     /// Scores, and publishes in the order of the scoring thread. Returns whether a message was due.
     fn step(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> bool {
-        let handle = self.journal.handle();
+        let handle = &self.journal.handle;
         while self.cycle.step_due(now_ns) {
             self.cycle.step(now_ns, now_unix_ns).unwrap();
             let mut attributed = 0;

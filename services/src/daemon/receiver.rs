@@ -12,7 +12,7 @@ use roomcast_ipc::{IpcError, Subscriber};
 
 use super::engine::Entry;
 use super::intake::{Intake, IntakeCounters, Taken};
-use super::journal::Journal;
+use super::journal::{Journal, Record};
 use super::{LOG_INTERVAL_NS, Progress};
 use crate::awake::Awake;
 use crate::clock;
@@ -110,11 +110,12 @@ impl EventReceiver {
                         let ahead_s = ahead_ns as f64 / 1e9;
                         tracing::warn!(source, name, ahead_s, not_told, "{FAST_CLOCK}");
                     }
-                    let number = self.journal.as_mut().map_or(0, |journal| {
+                    let number = self.journal.as_ref().map_or(0, |journal| {
                         if binds {
-                            journal.bind((observation.source, observation.epoch), sender);
+                            let start = (observation.source, observation.epoch);
+                            journal.handle.append(Record::Port { start, port: sender });
                         }
-                        journal.append(&observation)
+                        journal.handle.append(&observation)
                     });
                     let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0, quota, leaves };
                     take(Heard::Entry(entry, number));

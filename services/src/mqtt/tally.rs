@@ -66,7 +66,7 @@ impl Tally {
     pub fn new(directory: &Path, narrator: &str, keys: Vec<String>) -> Self {
         let new = || Counted { since_unix_s: clock::unix_ns().0 / 1_000_000_000, fitted: BTreeMap::new() };
         let mut kept = Kept::new(path(directory, narrator), SCHEMA);
-        let mut before: Counted = kept.load(TABLE, &kept.path().with_extension("json")).unwrap_or_else(new);
+        let mut before: Counted = kept.load(TABLE).unwrap_or_else(new);
         before.fitted.retain(|key, _| keys.contains(key));
         for key in &keys {
             before.fitted.entry(key.clone()).or_default();

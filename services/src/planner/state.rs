@@ -34,17 +34,11 @@ pub struct KeptRound {
     map: String,
     began_ns: Option<BootNs>,
     /// Due time of the previous round.
-    #[serde(default)]
     due_ns: Option<BootNs>,
     done: Vec<String>,
-    /// Rooms that the robot could not do, with the time of the failure.
-    #[serde(default)]
-    failed: Vec<(String, BootNs)>,
-    /// Failures in a row of each of these rooms; 1 in files of older versions.
-    #[serde(default)]
-    failures: Vec<u32>,
+    /// Rooms that the robot could not do, with the time of the failure, and the failures in a row.
+    failed: Vec<(String, BootNs, u32)>,
     /// Rooms that were left to a person.
-    #[serde(default)]
     held: Vec<String>,
     room: Option<String>,
     work: Option<KeptWork>,
@@ -52,13 +46,10 @@ pub struct KeptRound {
     battery: Option<f64>,
     charges: bool,
     /// The minute in which a charging robot was last heard.
-    #[serde(default)]
     heard_ns: Option<BootNs>,
     /// Per epoch of a reporter, the newest report of work or dock in this round.
-    #[serde(default)]
     told: Vec<(u64, u64)>,
     /// Failures in a row before the robot began, and the end of its pause.
-    #[serde(default)]
     trouble: (u32, BootNs),
 }
 
@@ -72,13 +63,7 @@ struct KeptWork {
     waits: bool,
     started: bool,
     /// The room was probably empty when work began, or its persons left since: a person there came later.
-    #[serde(default = "yes")]
     alone: bool,
-}
-
-/// Older versions did not store it: a person in the room then interrupts.
-fn yes() -> bool {
-    true
 }
 
 impl Planner {
@@ -86,7 +71,7 @@ impl Planner {
     #[must_use]
     pub fn kept(&self, boot: &str) -> Option<KeptRound> {
         let scores = self.scores.as_ref()?;
-        let id = |room: usize| self.id_of(room).to_owned();
+        let (robot, id) = (&self.robot, |room: usize| self.id_of(room).to_owned());
         let done = self.round.covered().iter().enumerate().filter(|(_, done)| **done);
         let held = self.interruption.held().iter().enumerate().filter(|(_, held)| **held);
         Some(KeptRound {
@@ -95,30 +80,21 @@ impl Planner {
             began_ns: self.round.began_ns,
             due_ns: self.round.due_ns,
             done: done.map(|(room, _)| id(room)).collect(),
-            failed: self.round.failed().map(|(room, failed_ns, _)| (id(room), failed_ns)).collect(),
-            failures: self.round.failed().map(|(_, _, failures)| failures).collect(),
+            failed: self.round.failed().map(|(room, failed_ns, failures)| (id(room), failed_ns, failures)).collect(),
             held: held.map(|(room, _)| id(room)).collect(),
-            room: self.robot.room.map(id),
+            room: robot.room.map(id),
             // A robot with a decision at every score has no work that outlasts the planner.
-            work: self.robot.work.as_ref().filter(|_| self.round.stay_ns > 0).map(|work| KeptWork {
-                room: id(work.room),
-                decisions: work.decisions.clone(),
-                began_ns: work.began_ns,
-                ends_ns: work.ends_ns,
-                waits: work.waits,
-                started: work.started,
-                alone: self.interruption.is_alone(work.room),
+            work: robot.work.clone().filter(|_| self.round.stay_ns > 0).map(|work| {
+                let Work { room, decisions, began_ns, ends_ns, waits, started } = work;
+                let alone = self.interruption.is_alone(room);
+                KeptWork { room: id(room), decisions, began_ns, ends_ns, waits, started, alone }
             }),
-            reports_work: self.robot.reports_work,
-            battery: self.robot.battery,
-            charges: self.robot.charges,
-            heard_ns: self
-                .robot
-                .heard_ns
-                .filter(|_| self.robot.charges)
-                .map(|heard_ns| BootNs(heard_ns.0 - heard_ns.0 % MINUTE_NS)),
-            told: self.robot.told.clone(),
-            trouble: self.robot.trouble(),
+            reports_work: robot.reports_work,
+            battery: robot.battery,
+            charges: robot.charges,
+            heard_ns: robot.heard_ns.filter(|_| robot.charges).map(|at_ns| BootNs(at_ns.0 - at_ns.0 % MINUTE_NS)),
+            told: robot.told.clone(),
+            trouble: robot.trouble(),
         })
     }
 
@@ -129,8 +105,7 @@ impl Planner {
         for done in kept.done.iter().filter_map(|id| room(id)) {
             self.round.cover(done);
         }
-        for ((failed, failed_ns), failures) in kept.failed.iter().zip(kept.failures.iter().chain(std::iter::repeat(&1)))
-        {
+        for (failed, failed_ns, failures) in &kept.failed {
             room(failed).into_iter().for_each(|room| self.round.restore_failed(room, *failed_ns, *failures));
         }
         kept.held.iter().filter_map(|id| room(id)).for_each(|room| self.interruption.hold(room));
@@ -152,8 +127,7 @@ impl Planner {
         robot.reports_work = kept.reports_work;
         robot.restore_told(&kept.told);
         robot.restore_trouble(kept.trouble);
-        // Older versions stored no time: a charging robot counts as heard when the round is restored.
-        robot.heard_ns = kept.heard_ns.or(kept.charges.then_some(BootNs(scores.published_ns)));
+        robot.heard_ns = kept.heard_ns;
         (robot.battery, robot.charges) = (kept.battery, kept.charges && kept.battery.is_some());
     }
 
@@ -181,9 +155,10 @@ impl Database {
 
     /// The stored round of this boot. After a reboot the robot begins another round.
     pub(super) fn round(&mut self) -> Option<KeptRound> {
-        let kept: KeptRound = self.kept.load("round", &self.kept.path().with_extension("json"))?;
+        let kept: KeptRound = self.kept.load("round")?;
         let now_ns = clock::monotonic_ns();
-        let mut times = kept.failed.iter().map(|(_, failed_ns)| *failed_ns).chain(kept.began_ns).chain(kept.heard_ns);
+        let mut times =
+            kept.failed.iter().map(|(_, failed_ns, _)| *failed_ns).chain(kept.began_ns).chain(kept.heard_ns);
         let past = times.all(|past_ns| past_ns <= now_ns);
         // Damaged work of more than a day would block the robot.
         const LONGEST_NS: u64 = 86_400_000_000_000;
@@ -201,8 +176,7 @@ impl Database {
 
     /// The orders, which outlive a reboot.
     pub(super) fn orders(&mut self) -> Orders {
-        let old = format!("{}-orders.json", self.kept.path().with_extension("").display());
-        self.kept.load("orders", old.as_ref()).unwrap_or_default()
+        self.kept.load("orders").unwrap_or_default()
     }
 
     /// Writes a changed round and changed orders. The round needs no sync: it is valid for one boot, which ends when power fails. A hold survives that.
@@ -239,9 +213,6 @@ mod tests {
             again.round.failed().collect::<Vec<_>>()
         };
         assert_eq!(restored(&kept), [(0, BootNs(5), 3)]);
-        let older = kept.replace("\"failures\":[3],", "");
-        assert!(older != kept);
-        assert_eq!(restored(&older), [(0, BootNs(5), 1)]);
     }
 
     #[test]
@@ -268,14 +239,11 @@ mod tests {
     }
 
     #[test]
-    fn orders_outlive_a_reboot_and_an_update() {
+    fn orders_outlive_a_reboot() {
         let directory = tempfile::tempdir().unwrap();
         let open = |robot| Database::new(directory.path(), robot);
         let mut orders = Orders::default();
         orders.skip("hall", 300);
-        let old = directory.path().join("planner-0000000000000007-orders.json");
-        std::fs::write(&old, serde_json::to_vec(&orders).unwrap()).unwrap();
-        assert_eq!(open(7).orders(), orders);
         orders.ask("kitchen", 200);
         open(7).keep(&Planner::new(&PlannerConfig::default(), 1).with_orders(orders.clone()));
         assert_eq!(open(7).orders(), orders);

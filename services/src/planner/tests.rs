@@ -659,7 +659,7 @@ fn a_restarted_planner_knows_which_rooms_failed_and_which_are_left_to_somebody()
     assert_eq!(home.decision(8).to(), "room-2");
     let kept = home.planner.kept("boot").unwrap();
     let text = serde_json::to_string(&kept).unwrap();
-    assert!(text.contains(r#""failed":[["room-1",7000000000]],"failures":[1],"held":["room-0"]"#), "{text}");
+    assert!(text.contains(r#""failed":[["room-1",7000000000,1]],"held":["room-0"]"#), "{text}");
     let config = PlannerConfig { room_time_s: 100.0, ..PlannerConfig::default() };
     let planner = Planner::new(&config, 2).with_kept(kept.clone());
     let mut again = Home { planner, likely: vec![0.5, 0.0, 0.0], reports: home.reports, ..Home::new(3, &config) };
@@ -998,27 +998,6 @@ fn work_after_the_last_round_is_interrupted_too() {
     let stop = home.decision(120);
     assert!(stop.has(decision_flags::INTERRUPTED) && stop.action == action::PAUSE, "{}", stop.reason());
     assert_eq!(home.look(121), None);
-}
-
-/// A file of an older version says that the robot charges, but not the time of its last report: its charging time begins with the restart.
-#[test]
-fn a_robot_that_charges_is_kept_in_by_an_older_round_too() {
-    let config = PlannerConfig::default();
-    let mut home = Home::new(2, &config);
-    let first = home.decision(50_000);
-    home.answer(50_001, report_kind::BLOCKED, &first);
-    home.report(50_002, report_kind::BATTERY, |report| {
-        (report.battery, report.flags) = (0.05, report.flags | report_flags::HAS_BATTERY);
-    });
-    home.report(50_003, report_kind::DOCKED, |_| ());
-    assert_eq!(home.decision(50_003).action, action::PAUSE);
-    let mut kept = serde_json::to_value(home.planner.kept("boot").unwrap()).unwrap();
-    kept.as_object_mut().unwrap().remove("heard_ns").unwrap();
-    home.planner = Planner::new(&config, 2).with_kept(serde_json::from_value(kept).unwrap());
-    assert_eq!(home.decision(50_100).action, action::PAUSE);
-    assert_eq!(home.look(50_100 + 14_399), None);
-    let out = home.decision(50_100 + 14_400);
-    assert!(out.action == action::GO && out.has(decision_flags::ROBOT_SILENT), "{}", out.reason());
 }
 
 /// Without work the robot is not sent to work, even if it is to wait in another room.

@@ -4,7 +4,7 @@ use std::time::Duration;
 use roomcast_core::narration::{Observation, Sentence};
 use roomcast_ipc::raw::{ALL_PERSONS, NarrationV1, PersonForecastsV1, RoomScoresV1, narration_kind, score_flags};
 use roomcast_ipc::{question, sequence};
-use roomcast_services::daemon::{Journal, JournalOptions};
+use roomcast_services::daemon::Journal;
 use rustix::process::Signal;
 
 use super::{World, eventually, exit_code, includes, scores_with, scoring};
@@ -153,8 +153,7 @@ fn a_sentence_that_costs_more_than_the_window_harms_nobody() {
     let costly = format!("They say {}.", "x9 ".repeat(330));
     let sentence = Sentence::new(&costly).unwrap();
     let observed = Observation { source: 5, epoch: 5, sequence: 5, ..Observation::of(5, sentence) };
-    let options = JournalOptions { directory: state.clone(), bytes_max: 1 << 20, sync_ms: 1000 };
-    Journal::open(&options).unwrap().0.append(&observed);
+    Journal::open(&state, 1 << 20, Duration::from_secs(1)).unwrap().0.handle.append(&observed);
     let arguments = ["daemon", "--state", state.to_str().unwrap(), "--config", &config];
     let daemon = world.start(&arguments);
     let lines = format!("They walk to the kitchen.\n{costly}\n{costly}\nThey grab the mug.\n{costly}\n");

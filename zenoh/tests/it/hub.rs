@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use roomcast_zenoh::spool::{Dated, Spool};
+use roomcast_zenoh::spool::{Kept, Spool};
 use roomcast_zenoh::wire::{Kind, Observation, Who};
 use rustix::process::Signal;
 
@@ -13,7 +13,7 @@ fn hub(folder: &Path, input: &Path) -> Process {
     let spool = folder.join("spool");
     let observation =
         Observation { text: "They sit.".to_owned(), kind: Kind::Sentence, person: Who::Somebody, count: 0 };
-    Spool::open(&spool, 10).unwrap().append(vec![Dated::new(observation, 0, None)]).unwrap();
+    Spool::open(&spool, 10).unwrap().append(vec![Kept::new(observation, 0, None)]).unwrap();
     let port = free_port();
     let config = format!(
         "[router]\nconnect = \"tcp/127.0.0.1:{port}\"\n[hub]\nname = \"hall-camera\"\nrobots = [\"robot-1\"]\nspool = {spool:?}\n"

@@ -15,13 +15,8 @@ pub(super) type IsTheirs = dyn Fn(&Observation, Option<PersonId>) -> bool + Send
 /// The sentence in place of a forgotten person's.
 const BLANK: &str = "Forgotten.";
 
-/// Takes a person out. Gives how many events were theirs, and whether anything has changed; `id` is the number of the change.
-pub(super) fn forget(
-    transaction: &Transaction<'_>,
-    person: PersonId,
-    is_theirs: &IsTheirs,
-    id: i64,
-) -> Result<(usize, bool)> {
+/// Takes a person out. Gives how many events were theirs; `id` is the number of the change.
+pub(super) fn forget(transaction: &Transaction<'_>, person: PersonId, is_theirs: &IsTheirs, id: i64) -> Result<usize> {
     let (events, damaged) = store::events(transaction)?;
     store::delete_events(transaction, &damaged)?;
     let (mut theirs, mut is_changed) = (0, !damaged.is_empty());
@@ -29,12 +24,9 @@ pub(super) fn forget(
         let forgets = Forgets { person, is_theirs, known: &known };
         if forgets.is_theirs() {
             theirs += 1;
-            match forgets.bare() {
-                Some((observation, moves)) => {
-                    store::replace(transaction, &known, Some((&observation, moves.as_deref())))?;
-                }
-                None => store::replace(transaction, &known, None)?,
-            }
+            let bare = forgets.bare();
+            let by = bare.as_ref().map(|(observation, moves)| (observation, moves.as_deref()));
+            store::replace(transaction, &known, by)?;
         } else if let Some(moves) = &known.moves {
             let others: Vec<Move> = moves.iter().filter(|own| !forgets.names_them(own)).cloned().collect();
             if others.len() < moves.len() {
@@ -49,7 +41,7 @@ pub(super) fn forget(
         // Earlier events about all persons do not bring them back after a restart.
         store::write(transaction, id, &Record::Gone { person, after: None })?;
     }
-    Ok((theirs, is_changed))
+    Ok(theirs)
 }
 
 struct Forgets<'a> {

@@ -1,80 +1,58 @@
 //! A state database of a test.
 
-use std::fs;
-
 use tempfile::TempDir;
 
 use super::*;
 
-/// A state directory and the writer of its database.
+/// A state directory and its journal.
 #[derive(Debug)]
 pub(in crate::daemon) struct Notes {
+    pub(in crate::daemon) journal: Journal,
     folder: TempDir,
-    writer: Option<Writer>,
     /// All records.
     pub(in crate::daemon) records: Vec<Record>,
-    unwritten: Vec<Record>,
 }
 
 impl Default for Notes {
     fn default() -> Self {
         // A sync takes no time there.
         let folder = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
-        let mut notes = Self { folder, writer: None, records: Vec::new(), unwritten: Vec::new() };
-        notes.open();
-        notes
+        let (journal, _) = Journal::open(folder.path(), u64::MAX, Duration::from_secs(1)).unwrap();
+        Self { journal, folder, records: Vec::new() }
     }
 }
 
 impl Notes {
-    fn open(&mut self) {
-        let opened = Database::open(&self.folder.path().join(FILE), SCHEMA).unwrap();
-        self.writer = Some(Writer::open(opened, None, u64::MAX, &boot_id()).unwrap().0);
-    }
-
     pub(in crate::daemon) fn push(&mut self, record: impl Into<Record>) {
         let record = record.into();
         self.records.push(record.clone());
-        self.unwritten.push(record);
-    }
-
-    pub(in crate::daemon) fn observe(&mut self, observation: &Observation) {
-        self.push(Record::Event { observation: observation.clone(), is_of_this_boot: true });
+        self.journal.handle.append(record);
     }
 
     /// The content for a daemon that starts now.
-    pub(in crate::daemon) fn recovered(&mut self) -> Recovered {
+    pub(in crate::daemon) fn recovered(&self) -> Recovered {
         self.write();
-        let recovered = self.writer.as_mut().unwrap().recover().unwrap();
+        let recovered = look(self.folder.path()).unwrap();
         assert_eq!(recovered.damaged, 0);
         recovered
     }
 
-    fn write(&mut self) {
-        self.writer.as_mut().unwrap().write(self.unwritten.drain(..)).unwrap();
+    fn write(&self) {
+        assert!(
+            self.journal.handle.wait_for(self.records.len() as u64, Duration::from_secs(60)),
+            "the journal stands still"
+        );
     }
 
     /// All bytes of all files, as text.
-    pub(in crate::daemon) fn text(&mut self) -> String {
+    pub(in crate::daemon) fn text(&self) -> String {
         self.write();
         text_of(self.folder.path())
-    }
-
-    /// Does something with a journal that has this database.
-    pub(in crate::daemon) fn with<T>(&mut self, work: impl FnOnce(&JournalHandle) -> T) -> T {
-        self.write();
-        self.writer = None;
-        let directory = self.folder.path().to_owned();
-        let (journal, _) = Journal::open(&JournalOptions { directory, bytes_max: 16 << 20, sync_ms: 1000 }).unwrap();
-        let done = work(&journal.handle());
-        drop(journal);
-        self.open();
-        done
     }
 }
 
 /// All bytes of a folder's files, as text.
-pub(in crate::daemon) fn text_of(folder: &std::path::Path) -> String {
+pub(in crate::daemon) fn text_of(folder: &Path) -> String {
     let files = fs::read_dir(folder).unwrap().map(|file| fs::read(file.unwrap().path()).unwrap());
     files.map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).collect()
 }

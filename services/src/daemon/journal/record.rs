@@ -79,6 +79,12 @@ pub(super) const PART_BYTES: usize = 48;
 /// Bytes of a sensor's report, about.
 const SENSOR_BYTES: usize = 64;
 
+impl From<&Observation> for Record {
+    fn from(observation: &Observation) -> Self {
+        Self::Event { observation: observation.clone(), is_of_this_boot: true }
+    }
+}
+
 impl From<&Outcome<'_>> for Record {
     fn from(outcome: &Outcome<'_>) -> Self {
         let Outcome { event: of, person, by_fit, map, probability } = *outcome;

@@ -4,7 +4,6 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 
 use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::Observation;
-use roomcast_database::SetAside;
 use roomcast_ipc::Sender as Port;
 
 use super::learned::HabitRows;
@@ -15,9 +14,8 @@ use super::record::{Expectation, KeptPerson, Move};
 pub struct Recovered {
     /// The observations, oldest first.
     pub observations: Vec<Observation>,
-    /// Observations that were taken and are gone, the last one of each start of a narrator: each with the index of the
-    /// observation that it stands before.
-    pub carried: Vec<(usize, EventId)>,
+    /// All observations that were accepted, in their order; of those that are gone, the last one of each start of a narrator.
+    pub taken: Vec<EventId>,
     /// The port that speaks for a start of a source, by the source's number and epoch.
     pub ports: BTreeMap<(u64, u64), Port>,
     /// The index of an observation, its person, and the model's expectation; without rooms if the person was out.
@@ -36,19 +34,4 @@ pub struct Recovered {
     pub habits: Option<HabitRows>,
     /// Events that cannot be read.
     pub damaged: u64,
-    /// A damaged database that a new one has replaced.
-    pub set_aside: Option<SetAside>,
-}
-
-impl Recovered {
-    /// All observations that were accepted, in their order.
-    pub fn taken(&self) -> impl Iterator<Item = EventId> {
-        let mut carried = self.carried.iter().peekable();
-        let mut observations = self.observations.iter().enumerate().peekable();
-        std::iter::from_fn(move || {
-            let next = observations.peek().map_or(usize::MAX, |(index, _)| *index);
-            let first = carried.next_if(|(before, _)| *before <= next).map(|(_, event)| *event);
-            first.or_else(|| observations.next().map(|(_, observation)| observation.id()))
-        })
-    }
 }

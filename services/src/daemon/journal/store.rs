@@ -62,20 +62,16 @@ fn event_of(kind: &str, room: Option<&str>, text: Option<&str>) -> Option<Event>
     })
 }
 
-/// The checksum of a narrator's words: SQLite does not notice a flipped bit in a text.
-fn checksum(observation: &Observation) -> u32 {
+/// The checksum of a narrator's words, because SQLite does not notice a flipped bit in a text. The columns that change are added to it: a statement can
+/// take them out of the sum. A flipped bit of a time changes the remainder.
+fn checksum(observation: &Observation, observed_ns: Option<i64>, found: Option<u32>) -> i64 {
     let Observation { person, name, observed_unix_ns: UnixNs(time), count, may_be_form, event, .. } = observation;
     let EventId { source, epoch, sequence } = observation.id();
     let (kind, room, text) = columns(event);
     let said =
         format!("{source} {epoch} {sequence} {time} {person} {name:?} {count} {may_be_form} {kind} {room:?} {text:?}");
-    crc32fast::hash(said.as_bytes())
-}
-
-/// The checksum with the columns that change: a statement can take them out of the sum. A flipped bit of a time changes the remainder.
-fn sum(observation: &Observation, observed_ns: Option<i64>, found: Option<u32>) -> i64 {
     let added = observed_ns.unwrap_or_default() % 1_000_000_007 + i64::from(found.unwrap_or_default());
-    i64::from(checksum(observation)) + added
+    i64::from(crc32fast::hash(said.as_bytes())) + added
 }
 
 /// Writes one record as number `id`. A record that is there already changes nothing.
@@ -148,7 +144,7 @@ fn insert_event(
             ":id": id, ":source": source.cast_signed(), ":epoch": epoch.cast_signed(), ":sequence": sequence.cast_signed(),
             ":observed_ns": observed_ns, ":observed_unix_ns": observed_unix_ns.0.cast_signed(),
             ":kind": kind, ":room": room, ":text": text, ":person": person.0, ":name": name, ":number": number,
-            ":found": found, ":count": count, ":may_be_form": may_be_form, ":checksum": sum(observation, observed_ns, found),
+            ":found": found, ":count": count, ":may_be_form": may_be_form, ":checksum": checksum(observation, observed_ns, found),
         })
         .map(|_| ())
 }
@@ -259,16 +255,6 @@ pub(super) fn begin_boot(transaction: &Transaction<'_>, boot_id: &[u8; 16]) -> R
     transaction.execute("INSERT OR REPLACE INTO meta VALUES ('boot', ?1)", [boot_id]).map(|_| ())
 }
 
-/// About how many bytes the events have.
-pub(super) fn bytes(transaction: &Transaction<'_>) -> Result<u64> {
-    let sum = format!(
-        "SELECT (SELECT coalesce(sum({EVENT_BYTES} + coalesce(length(text), 0) + coalesce(length(room), 0)), 0) FROM event)
-              + (SELECT coalesce(sum({PART_BYTES} + coalesce(length(text), 0) + coalesce(length(room), 0)), 0) FROM moved)
-              + (SELECT coalesce(sum({PART_BYTES} + length(probability)), 0) FROM expectation)"
-    );
-    transaction.query_row(&sum, [], |row| row.get::<_, i64>(0)).map(i64::cast_unsigned)
-}
-
 /// About how many bytes each event has with the rows that belong to it, oldest first.
 fn costs(transaction: &Transaction<'_>) -> Result<Vec<(i64, EventId, u64)>> {
     let each = format!(
@@ -363,21 +349,16 @@ pub(super) fn events(transaction: &Transaction<'_>) -> Result<(Vec<Known>, Vec<i
     let (mut known, mut damaged) = (Vec::new(), Vec::new());
     let mut rows = query.query([])?;
     while let Some(row) = rows.next()? {
-        match sound(event_at(row))?.flatten() {
-            Some((mut event, is_told)) => {
-                if is_told {
-                    event.moves = Some(moves.remove(&event.id).unwrap_or_default());
-                }
-                known.push(event);
-            }
+        match sound(event_at(row, &mut moves))?.flatten() {
+            Some(event) => known.push(event),
             None => damaged.push(row.get(0)?),
         }
     }
     Ok((known, damaged))
 }
 
-/// The event in a row, and whether the persons that it moved are known; `None` if the row is damaged.
-fn event_at(row: &Row<'_>) -> Result<Option<(Known, bool)>> {
+/// The event in a row, with the persons that it moved; `None` if the row is damaged.
+fn event_at(row: &Row<'_>, moves: &mut HashMap<i64, Vec<Move>>) -> Result<Option<Known>> {
     let EventId { source, epoch, sequence } = id_at(row, 1)?;
     let observed_ns: Option<i64> = row.get(4)?;
     let (kind, room, text): (String, Option<String>, Option<String>) = (row.get(6)?, row.get(7)?, row.get(8)?);
@@ -394,10 +375,10 @@ fn event_at(row: &Row<'_>) -> Result<Option<(Known, bool)>> {
         ..Observation::saying(sequence, event)
     };
     let found: Option<u32> = row.get(11)?;
-    let is_sound = row.get::<_, i64>(15)? == sum(&observation, observed_ns, found);
+    let is_sound = row.get::<_, i64>(15)? == checksum(&observation, observed_ns, found);
     let (id, found, is_of_this_boot) = (row.get(0)?, found.map(PersonId), observed_ns.is_some());
-    let known = Known { id, observation, is_of_this_boot, found, moves: None };
-    Ok(is_sound.then_some((known, row.get(14)?)))
+    let moves = row.get::<_, bool>(14)?.then(|| moves.remove(&id).unwrap_or_default());
+    Ok(is_sound.then_some(Known { id, observation, is_of_this_boot, found, moves }))
 }
 
 fn moves(transaction: &Transaction<'_>) -> Result<HashMap<i64, Vec<Move>>> {
@@ -467,7 +448,7 @@ pub(super) fn recover(transaction: &Transaction<'_>) -> Result<Recovered> {
     let gone = query.query_map([], |row| Ok((place(row.get(0)?), PersonId(row.get(1)?))))?;
     recovered.forgotten = gone.filter_map(|gone| sound(gone).transpose()).collect::<Result<_>>()?;
     let mut query = transaction.prepare("SELECT * FROM source ORDER BY event")?;
-    let mut rows = query.query([])?;
+    let (mut taken, mut rows) = (Vec::new(), query.query([])?);
     while let Some(row) = rows.next()? {
         let Some((start, source)) = sound(Source::at(row))?.flatten() else {
             recovered.damaged += 1;
@@ -476,10 +457,11 @@ pub(super) fn recover(transaction: &Transaction<'_>) -> Result<Recovered> {
         recovered.ports.extend(source.port.map(|port| (start, Port::from_bytes(port))));
         recovered.settled.extend(source.settled.map(|settled| (start, settled)));
         let last = source.last.map(|last| EventId::new(start.0, start.1, last));
-        if let Some(event) = last.filter(|event| !newest.contains(event)) {
-            recovered.carried.push((place(source.event), event));
-        }
+        taken.extend(last.filter(|event| !newest.contains(event)).map(|event| (place(source.event), event)));
     }
+    taken.extend(recovered.observations.iter().map(Observation::id).enumerate());
+    taken.sort_by_key(|(place, _)| *place);
+    recovered.taken = taken.into_iter().map(|(_, event)| event).collect();
     Ok(recovered)
 }
 

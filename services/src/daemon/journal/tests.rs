@@ -1,12 +1,12 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
-use std::path::Path;
 
 use roomcast_core::forecast::PACES;
-use roomcast_core::ids::{BootNs, EventId, UnixNs};
-use roomcast_core::narration::{Event, Sentence, person_number};
+use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
+use roomcast_core::narration::{Event, Observation, Sentence, person_number};
 use roomcast_database::Connection;
+use roomcast_ipc::Sender as Port;
 
 use super::notes::text_of;
 use super::*;
@@ -21,8 +21,8 @@ fn observation(sequence: u64) -> Observation {
     Observation { observed_ns, observed_unix_ns, ..own }
 }
 
-fn options(directory: &Path, bytes_max: u64) -> JournalOptions {
-    JournalOptions { directory: directory.to_owned(), bytes_max, sync_ms: 1 }
+fn open(directory: &Path) -> Result<(Journal, Recovered), JournalError> {
+    Journal::open(directory, 1 << 20, Duration::from_millis(1))
 }
 
 fn writer(folder: &Path, bytes_max: u64) -> (Writer, Recovered) {
@@ -31,7 +31,12 @@ fn writer(folder: &Path, bytes_max: u64) -> (Writer, Recovered) {
 }
 
 fn event(observation: &Observation) -> Record {
-    Record::Event { observation: observation.clone(), is_of_this_boot: true }
+    observation.into()
+}
+
+/// A database that was set aside.
+fn aside(directory: &Path) -> Option<Vec<u8>> {
+    fs::read(directory.join("roomcast.db.damaged-1")).ok()
 }
 
 fn expected(of: &Observation, person: PersonId, probability: &[f32]) -> Record {
@@ -70,7 +75,7 @@ fn values_that_no_sound_row_has_cost_their_rows_and_not_the_start() {
     for _ in 0..2 {
         let (_, recovered) = writer(directory.path(), 1 << 20);
         assert_eq!(recovered.observations, [observation(1)]);
-        assert!(recovered.set_aside.is_none(), "a start sets nothing aside");
+        assert!(aside(directory.path()).is_none(), "a start sets nothing aside");
         assert!(recovered.persons.is_empty() && recovered.habits.unwrap().is_damaged());
     }
 }
@@ -114,13 +119,13 @@ fn events_in_a_folder_that_was_made_again_are_not_kept() {
     let outer = tempfile::tempdir().unwrap();
     let state = outer.path().join("state");
     for is_made_again in [false, true] {
-        let (mut journal, _) = Journal::open(&options(&state, 1 << 20)).unwrap();
-        journal.append(&observation(1));
+        let (journal, _) = open(&state).unwrap();
+        journal.handle.append(&observation(1));
         if is_made_again {
             fs::rename(&state, outer.path().join("gone")).unwrap();
             fs::create_dir(&state).unwrap();
         }
-        let handle = journal.handle();
+        let handle = journal.handle.clone();
         assert!(handle.is_kept());
         // It syncs before it ends.
         drop(journal);
@@ -133,7 +138,7 @@ fn events_are_bounded_and_the_newest_stay() {
     let directory = tempfile::tempdir().unwrap();
     let (mut own, _) = writer(directory.path(), 64 << 10);
     flood(&mut own, 0..4000);
-    assert!(own.trimmed() > 3000);
+    assert!(own.trimmed > 3000);
     let file = fs::metadata(directory.path().join(FILE)).unwrap().len();
     assert!(file < 192 << 10, "{file}");
     drop(own);
@@ -150,9 +155,8 @@ fn a_source_that_fell_silent_stays_known() {
     let quiet = Observation { source: 99, person: PersonId::SOMEBODY, ..observation(41) };
     for run in 0..4_u64 {
         let (mut own, recovered) = writer(directory.path(), 16_384);
-        let taken: Vec<_> = recovered.taken().collect();
-        assert!(run == 0 || taken.contains(&EventId::new(99, 1, 41)), "{run}: {recovered:?}");
-        let of_flood: Vec<_> = taken.iter().filter(|event| event.source == 7).collect();
+        assert!(run == 0 || recovered.taken.contains(&EventId::new(99, 1, 41)), "{run}: {recovered:?}");
+        let of_flood: Vec<_> = recovered.taken.iter().filter(|event| event.source == 7).collect();
         assert!(of_flood.windows(2).all(|pair| pair[0].sequence < pair[1].sequence));
         let port = recovered.ports.get(&(quiet.source, quiet.epoch));
         assert!(run == 0 || port == Some(&Port::simulated(3)), "{run}: {port:?}");
@@ -212,7 +216,7 @@ fn the_last_events_of_each_person_stay_in_their_order() {
             assert_eq!((of_ben.len(), &of_ben[0].2.probability[..]), (1, &[0.25, 0.75][..]));
         }
         flood(&mut own, run * 700 + 1..run * 700 + 701);
-        assert!(own.trimmed() > 100);
+        assert!(own.trimmed > 100);
     }
 }
 
@@ -241,22 +245,20 @@ fn the_event_that_has_a_persons_name_stays() {
 #[test]
 fn two_daemons_cannot_share_it() {
     let directory = tempfile::tempdir().unwrap();
-    let options = options(directory.path(), 1 << 20);
-    let _first = Journal::open(&options).unwrap();
-    assert!(matches!(Journal::open(&options), Err(JournalError::Locked { .. })));
+    let _first = open(directory.path()).unwrap();
+    assert!(matches!(open(directory.path()), Err(JournalError::Locked { .. })));
 }
 
 /// Nothing of a forgotten person stays in file, log and free pages, and what a narrator sends again does not bring it back.
 #[test]
 fn a_forgotten_person_leaves_no_byte() {
     let directory = tempfile::tempdir().unwrap();
-    let options = options(directory.path(), 1 << 20);
     // Earlier versions, and damage, have left files that are full of them.
     for file in ["narration.journal", "narration.journal.old", "narration.journal.large-7", "roomcast.db.damaged-3"] {
         fs::write(directory.path().join(file), "Ada's secret 3.").unwrap();
     }
-    let (mut journal, _) = Journal::open(&options).unwrap();
-    let handle = journal.handle();
+    let (journal, _) = open(directory.path()).unwrap();
+    let handle = journal.handle.clone();
     let of = |sequence: u64, name: &str| {
         let sentence = Sentence::new(&format!("They do secret {sequence}. {}", "and so on ".repeat(50))).unwrap();
         let name = Some(name).filter(|name| !name.is_empty()).map(Into::into);
@@ -265,7 +267,7 @@ fn a_forgotten_person_leaves_no_byte() {
     };
     for sequence in 1..=120 {
         let name = ["ada-lovelace", "ben", ""][sequence as usize % 3];
-        let mut number = journal.append(&of(sequence, name));
+        let mut number = journal.handle.append(&of(sequence, name));
         if name.is_empty() {
             let (event, person) = (EventId::new(7, sequence / 64, sequence), PersonId(1 + sequence as u32 % 2));
             let outcome = Outcome { event, person, by_fit: true, map: 1, probability: &[] };
@@ -275,20 +277,23 @@ fn a_forgotten_person_leaves_no_byte() {
     }
     let is_ada = |o: &Observation| o.name.as_deref() == Some("ada-lovelace");
     let is_theirs = move |o: &Observation, found: Option<PersonId>| is_ada(o) || found == Some(PersonId(1));
-    assert!(handle.forget(PersonId(1), is_theirs, Instant::now() + Duration::from_secs(30)).unwrap() > 0);
+    let forget = || {
+        let until = Instant::now() + Duration::from_secs(30);
+        handle.ask(move |writer| writer.forget(PersonId(1), &is_theirs), until).unwrap()
+    };
+    assert!(forget() > 0);
     let text = text_of(directory.path());
     assert!(!text.contains("ada-") && !text.contains("secret 3.") && text.contains("secret 4."));
-    assert_eq!(handle.forget(PersonId(1), is_theirs, Instant::now() + Duration::from_secs(30)).unwrap(), 0);
-    let last = journal.append(&of(121, "ben"));
+    assert_eq!(forget(), 0);
+    let last = journal.handle.append(&of(121, "ben"));
     assert!(handle.wait_for(last, Duration::from_secs(30)));
     drop(journal);
-    let (_journal, recovered) = Journal::open(&options).unwrap();
+    let (_journal, recovered) = open(directory.path()).unwrap();
     let theirs = |o: &Observation| is_ada(o) || (o.by_fit && o.person == PersonId(1));
     assert!(!recovered.observations.iter().any(theirs) && recovered.observations.len() > 50);
     assert!(recovered.observations.iter().any(|o| o.by_fit && o.person == PersonId(2)));
     // All is still known to be taken.
-    let last_taken = recovered.taken().last();
-    assert_eq!(last_taken, Some(EventId::new(7, 1, 121)));
+    assert_eq!(recovered.taken.last(), Some(&EventId::new(7, 1, 121)));
     assert_eq!(recovered.settled.len(), 2);
 }
 
@@ -385,7 +390,7 @@ fn a_damaged_database_is_set_aside() {
         fs::read(directory.path().join(FILE)).unwrap()
     };
     let rounds = std::env::var("ROOMCAST_CORRUPTIONS").map_or(40, |rounds| rounds.parse().unwrap());
-    let (mut aside, mut saved) = (0, 0);
+    let (mut asides, mut saved) = (0, 0);
     for round in 0..rounds {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join(FILE);
@@ -398,23 +403,21 @@ fn a_damaged_database_is_set_aside() {
             _ => bytes[at..].iter_mut().take(300).for_each(|byte| *byte = byte.wrapping_mul(31).wrapping_add(7)),
         }
         fs::write(&path, &bytes).unwrap();
-        let (mut journal, recovered) = Journal::open(&options(directory.path(), 1 << 20)).unwrap();
-        if let Some(set_aside) = &recovered.set_aside {
-            assert_eq!(fs::read(&set_aside.path).unwrap().len(), bytes.len());
-            aside += 1;
+        let (journal, recovered) = open(directory.path()).unwrap();
+        let set_aside = aside(directory.path());
+        if let Some(damaged) = &set_aside {
+            assert_eq!(damaged.len(), bytes.len());
+            asides += 1;
             saved += recovered.observations.len() as u64;
         }
         let lost = 300 - recovered.observations.len() as u64;
-        assert!(
-            recovered.set_aside.is_some() || lost <= recovered.damaged + u64::from(bytes.is_empty()) * 300,
-            "{round}"
-        );
-        journal.append(&observation(1000));
+        assert!(set_aside.is_some() || lost <= recovered.damaged + u64::from(bytes.is_empty()) * 300, "{round}");
+        journal.handle.append(&observation(1000));
         drop(journal);
         assert_eq!(look(directory.path()).unwrap().observations.last().unwrap().sequence, 1000, "{round}");
     }
-    println!("{rounds} corruptions: {aside} databases set aside, with {saved} of {} events saved", aside * 300);
-    assert!(aside > rounds / 4 && saved > aside * 100, "{aside}: {saved}");
+    println!("{rounds} corruptions: {asides} databases set aside, with {saved} of {} events saved", asides * 300);
+    assert!(asides > rounds / 4 && saved > asides * 100, "{asides}: {saved}");
 }
 
 #[test]
@@ -428,7 +431,7 @@ fn a_newer_or_foreign_database_is_set_aside() {
         other.execute_batch(&format!("PRAGMA {pragma}")).unwrap();
         drop(other);
         let (_, recovered) = writer(directory.path(), 1 << 20);
-        assert!(recovered.set_aside.is_some() && recovered.observations.is_empty());
+        assert!(aside(directory.path()).is_some() && recovered.observations.is_empty());
     }
 }
 
@@ -437,7 +440,7 @@ fn a_database_that_another_user_could_have_planted_is_refused() {
     use std::os::unix::fs::{PermissionsExt, symlink};
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join(FILE);
-    let refused = || matches!(Journal::open(&options(directory.path(), 8192)), Err(JournalError::Refused { .. }));
+    let refused = || matches!(open(directory.path()), Err(JournalError::Refused { .. }));
     for file in [path.clone(), directory.path().join("roomcast.db-wal"), directory.path().join("roomcast.db-shm")] {
         symlink("/dev/null", &file).unwrap();
         assert!(refused());
@@ -446,8 +449,8 @@ fn a_database_that_another_user_could_have_planted_is_refused() {
         assert!(refused());
         fs::remove_file(&file).unwrap();
     }
-    let (journal, _) = Journal::open(&options(directory.path(), 8192)).unwrap();
-    journal.handle().append(Record::Gone { person: PersonId(1), after: None });
+    let (journal, _) = open(directory.path()).unwrap();
+    journal.handle.append(Record::Gone { person: PersonId(1), after: None });
     drop(journal);
     for file in fs::read_dir(directory.path()).unwrap() {
         assert_eq!(file.unwrap().metadata().unwrap().permissions().mode() & 0o777, 0o600);
@@ -501,7 +504,7 @@ fn the_old_journal_is_read_once() {
         fs::write(&old, &older).unwrap();
         fs::write(&new, &current).unwrap();
         for _ in 0..2 {
-            let (_journal, recovered) = Journal::open(&options(directory.path(), 1 << 20)).unwrap();
+            let (_journal, recovered) = open(directory.path()).unwrap();
             let said: Vec<_> =
                 recovered.observations.iter().map(|o| (o.sequence, o.event.to_string(), o.person.0)).collect();
             let expected = [(2, "away", 3), (4, "They walk.", 3), (5, "present in the kitchen", 9)];
@@ -510,7 +513,7 @@ fn the_old_journal_is_read_once() {
             assert_eq!(recovered.expectations.len(), 2);
             assert_eq!(recovered.moved[&EventId::new(7, 1, 5)][0].name.as_deref(), Some("Ada"));
             assert_eq!(recovered.ports[&(7, 1)], Port::simulated(4));
-            assert!(recovered.taken().any(|name| name == EventId::new(44, 1, 9)));
+            assert!(recovered.taken.contains(&EventId::new(44, 1, 9)));
             assert_eq!(recovered.of_other_boots.len(), 3);
         }
         assert_eq!([fs::read(&old).unwrap(), fs::read(&new).unwrap()], [older.clone(), current.clone()]);
@@ -585,7 +588,7 @@ fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
     let damaged = own.recover().unwrap().habits.unwrap().memory(options);
     assert!(damaged.unwrap_err().contains("checksum"));
     drop(other);
-    own.progress.wait_habits(Memory::new(options));
+    own.write_habits(&Memory::new(options)).unwrap();
     own.forget_habits().unwrap();
     assert!(!text_of(directory.path()).contains("secret-room"));
 }

@@ -7,7 +7,7 @@ use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use roomcast_database::rusqlite::{Error, ErrorCode};
-use roomcast_database::{Database, DatabaseError, SetAside, Transaction, is_damage};
+use roomcast_database::{Database, DatabaseError, Transaction, count_sync, is_damage};
 
 use roomcast_core::ids::PersonId;
 
@@ -21,19 +21,10 @@ use crate::daemon::habits::Memory;
 /// Silence before a sync.
 const QUIET_BEFORE_SYNC: Duration = Duration::from_millis(100);
 
-fn tell_of(SetAside { path, reason, rows }: &SetAside) {
-    tracing::error!(
-        reason,
-        rows,
-        path = %path.display(),
-        "the state database is damaged and was set aside: the new one has the rows that could be read, and the events since the last sync"
-    );
-}
-
 /// The error inside.
 fn inner(error: DatabaseError) -> Error {
     match error {
-        DatabaseError::Sqlite { source, .. } => source,
+        DatabaseError::Sqlite(_, source) => source,
         error => refused(error),
     }
 }
@@ -113,17 +104,17 @@ pub struct Writer {
     directory: Option<PathBuf>,
     /// The number of the last record.
     number: i64,
-    /// About how many bytes the events have.
+    /// About how many bytes the events have at most.
     bytes: u64,
     bytes_max: u64,
     boot_id: [u8; 16],
     queue: Queue,
     /// A sync has failed, and its records are not written again yet. Until then a sync that succeeds proves nothing.
-    lacks_pages: bool,
+    pub lacks_pages: bool,
     /// Deleted data is still in file or log: another program reads the database, or the disk has refused.
     is_to_erase: bool,
-    /// Events that trims have deleted.
-    trimmed: usize,
+    /// Events that were deleted because there were too many.
+    pub trimmed: usize,
     /// The habits in the database; `None` if they were never written.
     habits: Option<HabitRows>,
     /// The persons in the database.
@@ -138,7 +129,7 @@ impl Writer {
     /// # Errors
     /// When the database cannot be read; rows that are damaged are no error.
     pub fn open(
-        (database, set_aside): (Database, Option<SetAside>),
+        database: Database,
         directory: Option<PathBuf>,
         bytes_max: u64,
         boot_id: &[u8; 16],
@@ -161,10 +152,10 @@ impl Writer {
         };
         let recovered = match writer.start() {
             Err(error) if is_damage(&error) => {
-                let set_aside = writer.database.start_anew(&error).map_err(inner)?;
-                Recovered { set_aside: Some(set_aside), ..writer.start()? }
+                writer.database.start_anew(&error).map_err(inner)?;
+                writer.start()?
             }
-            started => Recovered { set_aside, ..started? },
+            started => started?,
         };
         writer.tell_bytes();
         Ok((writer, recovered))
@@ -173,7 +164,7 @@ impl Writer {
     fn start(&mut self) -> Result<Recovered, Error> {
         self.begin()?;
         self.import()?;
-        match self.database.sync() {
+        match self.database.write_synced(count_sync) {
             // A failed sync loses pages that a killed daemon has left. What is read after it is on the disk.
             Err(error) if !is_damage(&error) => {
                 self.recover_from(&error);
@@ -199,11 +190,12 @@ impl Writer {
 
     fn begin(&mut self) -> Result<(), Error> {
         let boot_id = self.boot_id;
-        let (number, bytes) = self.database.write(|transaction| {
+        let number = self.database.write(|transaction| {
             store::begin_boot(transaction, &boot_id)?;
-            Ok((store::last_number(transaction)?, store::bytes(transaction)?))
+            store::last_number(transaction)
         })?;
-        (self.number, self.bytes) = (self.number.max(number), bytes);
+        // The next sync counts the bytes.
+        (self.number, self.bytes) = (self.number.max(number), self.bytes_max.saturating_add(1));
         Ok(())
     }
 
@@ -261,7 +253,7 @@ impl Writer {
             self.database.make_room().or_else(|error| if is_full(&error) { Ok(()) } else { Err(error) })?;
         }
         let Self { database, queue, habits, persons, .. } = self;
-        let (known, nothing) = (habits.as_ref().filter(|habits| !habits.is_damaged()), HabitRows::default());
+        let known = habits.as_ref().filter(|habits| !habits.is_damaged());
         let before = known.filter(|_| !is_again);
         let rows = new.as_ref().or(known.filter(|_| is_again));
         database.write(|transaction| {
@@ -269,14 +261,10 @@ impl Writer {
             if is_again {
                 store::write_persons(transaction, persons)?;
             }
-            let Some(rows) = rows else { return Ok(()) };
-            if before.is_none() {
-                HabitRows::clear(transaction)?;
-            }
-            rows.write(transaction, before.unwrap_or(&nothing))
+            rows.map_or(Ok(()), |rows| rows.write(transaction, before))
         })?;
         *habits = new.or(habits.take());
-        self.bytes += queue.unwritten().map(|(_, record)| record.bytes()).sum::<u64>();
+        self.bytes = self.bytes.saturating_add(queue.unwritten().map(|(_, record)| record.bytes()).sum());
         (queue.written, self.lacks_pages) = (queue.records.len(), false);
         // A flood does not wait for the next sync.
         if self.bytes > self.bytes_max.saturating_add(self.bytes_max / 4) { self.trim() } else { Ok(()) }
@@ -284,8 +272,7 @@ impl Writer {
 
     /// Opens the database again: SQLite drops the damaged end of the log.
     fn reopen(&mut self) -> Result<(), Error> {
-        let set_aside = self.database.reopen().map_err(inner)?;
-        set_aside.iter().for_each(tell_of);
+        self.database.reopen().map_err(inner)?;
         self.begin()
     }
 
@@ -301,11 +288,11 @@ impl Writer {
 
     /// After an error that says damage, the database is opened again with the next records. If the damage stays, a new database begins.
     fn recover_from(&mut self, error: &Error) {
-        if self.lacks_pages && is_damage(error) {
-            match self.database.start_anew(error) {
-                Ok(set_aside) => tell_of(&set_aside),
-                Err(error) => tracing::error!(%error, "the damaged state database cannot be set aside"),
-            }
+        if self.lacks_pages
+            && is_damage(error)
+            && let Err(error) = self.database.start_anew(error)
+        {
+            tracing::error!(%error, "the damaged state database cannot be set aside");
         }
         self.lacks_pages |= match error.sqlite_error_code() {
             Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => false,
@@ -321,7 +308,7 @@ impl Writer {
     /// # Errors
     /// When the disk refuses, or no name leads to the database any more.
     pub fn sync(&mut self) -> Result<(), Error> {
-        self.synced(roomcast_database::count_sync)
+        self.synced(count_sync)
     }
 
     /// Runs work in a transaction that brings all commits to the disk.
@@ -349,19 +336,16 @@ impl Writer {
     ///
     /// # Errors
     /// When the disk refuses, or another program reads the database. Each sync tries again to erase.
-    pub(super) fn forget(&mut self, person: PersonId, is_theirs: &IsTheirs) -> Result<usize, Error> {
+    pub(in crate::daemon) fn forget(&mut self, person: PersonId, is_theirs: &IsTheirs) -> Result<usize, Error> {
         self.write([])?;
         self.number += 1;
         let number = self.number;
         let forgotten = self.database.write(|transaction| forget::forget(transaction, person, is_theirs, number));
-        let (theirs, is_changed) = forgotten.inspect_err(|error| self.recover_from(error))?;
+        let theirs = forgotten.inspect_err(|error| self.recover_from(error))?;
         let removed = self.database.remove_set_aside();
         let removed = removed
             .and_then(|()| self.directory.as_deref().map_or(Ok(()), |directory| old::remove(directory, &old::EVENTS)));
         removed.map_err(refused)?;
-        if is_changed {
-            self.bytes = self.database.write(store::bytes)?;
-        }
         // Also when nothing has changed: an earlier call may have failed before this.
         self.erase()?;
         Ok(theirs)
@@ -377,24 +361,19 @@ impl Writer {
     }
 
     /// Writes the habits that wait, if any. If the disk refuses, they wait again.
-    pub(super) fn write_waiting_habits(&mut self) {
-        let written = self.try_waiting_habits();
-        self.note(written);
-    }
-
-    fn try_waiting_habits(&mut self) -> Result<(), Error> {
+    pub(super) fn write_waiting_habits(&mut self) -> Result<(), Error> {
         let progress = Arc::clone(&self.progress);
         let waiting = || progress.habits.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(memory) = waiting().take() else { return Ok(()) };
         self.write_habits(&memory).inspect_err(|_| _ = waiting().get_or_insert(memory))
     }
 
-    /// Writes the habits after a person was forgotten: no byte of the old rows stays.
+    /// Writes the waiting habits after a person was forgotten: no byte of the old rows stays.
     ///
     /// # Errors
-    /// When the disk refuses.
-    pub(super) fn forget_habits(&mut self) -> Result<(), Error> {
-        self.try_waiting_habits()?;
+    /// When the disk refuses. The habits are written later.
+    pub(in crate::daemon) fn forget_habits(&mut self) -> Result<(), Error> {
+        self.write_waiting_habits()?;
         if let Some(directory) = &self.directory {
             old::remove(directory, &old::HABITS).map_err(refused)?;
         }
@@ -405,7 +384,7 @@ impl Writer {
     ///
     /// # Errors
     /// When the disk refuses; then the old ones stay.
-    pub(super) fn write_persons(&mut self, persons: Vec<KeptPerson>) -> Result<(), Error> {
+    pub(in crate::daemon) fn write_persons(&mut self, persons: Vec<KeptPerson>) -> Result<(), Error> {
         self.synced(|transaction| store::write_persons(transaction, &persons))?;
         self.persons = persons;
         Ok(())
@@ -426,18 +405,6 @@ impl Writer {
         self.queue.written < self.queue.records.len() || self.lacks_pages || self.is_to_erase
     }
 
-    /// Events that were deleted because there were too many.
-    #[must_use]
-    pub fn trimmed(&self) -> usize {
-        self.trimmed
-    }
-
-    /// A sync has failed, and its records are not written again.
-    #[must_use]
-    pub fn lacks_pages(&self) -> bool {
-        self.lacks_pages
-    }
-
     /// Runs a statement, for a test that plants a fault.
     #[doc(hidden)]
     pub fn plant(&mut self, statement: &str) {
@@ -448,12 +415,13 @@ impl Writer {
         self.progress.bytes.store(self.database.bytes(), Ordering::Relaxed);
     }
 
-    pub(super) fn note(&self, result: Result<(), Error>) {
-        if let Err(error) = result {
-            let failures = self.progress.failures.fetch_add(1, Ordering::Relaxed) + 1;
-            if failures.is_power_of_two() {
-                tracing::warn!(%error, failures, "the state database cannot be written; the history in memory is complete");
-            }
+    /// Does some work, and reports when the disk refuses.
+    pub(super) fn tries(&mut self, work: impl FnOnce(&mut Self) -> Result<(), Error>) -> bool {
+        let Err(error) = work(self) else { return true };
+        let failures = self.progress.failures.fetch_add(1, Ordering::Relaxed) + 1;
+        if failures.is_power_of_two() {
+            tracing::warn!(%error, failures, "the state database cannot be written; the history in memory is complete");
         }
+        false
     }
 }

@@ -72,7 +72,7 @@ impl House {
     }
 
     fn enter(&mut self, observation: Observation) {
-        self.journal.observe(&observation);
+        self.journal.push(&observation);
         let entry = Entry::new(observation, BootNs(self.now_ns));
         self.step(Some(entry));
     }
@@ -500,7 +500,7 @@ fn a_restart_journals_a_changed_outcome_once() {
     let ada = person_number("ada");
     let mut journals = ["away", "They grab the coffee maker."].map(|text| {
         let (mut journal, event) = (Notes::default(), house.observation(0, "ada", text));
-        journal.observe(&event);
+        journal.push(&event);
         let first = tell(&house, &mut journal);
         assert_eq!((first.len(), first[0].0, first[0].1), (1, event.sequence, ada));
         assert_eq!((first[0].3.len() > 1, tell(&house, &mut journal)), (text != "away", Vec::new()));
@@ -569,7 +569,7 @@ fn heard(house: &House) -> BTreeMap<PersonId, (Presence, i64)> {
 fn forget(house: &mut House, who: &str) -> PersonAnswer {
     let question = PersonQuestion::Forget { id: "1".to_owned(), who: who.to_owned() };
     let House { engine, journal, .. } = house;
-    let answer = journal.with(|handle| answer_about_person(engine, Some(handle), Ok(question)));
+    let answer = answer_about_person(engine, Some(&journal.journal.handle), Ok(question));
     house.step(None);
     answer
 }
