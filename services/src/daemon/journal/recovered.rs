@@ -14,7 +14,7 @@ use super::record::{Expectation, KeptPerson, Move};
 pub struct Recovered {
     /// The observations, oldest first.
     pub observations: Vec<Observation>,
-    /// All observations that were accepted, in their order; of those that are gone, the last one of each start of a narrator.
+    /// All accepted observations in their order. If the observations of a narrator's start are gone, its last one stands for them.
     pub taken: Vec<EventId>,
     /// The port that speaks for a start of a source, by the source's number and epoch.
     pub ports: BTreeMap<(u64, u64), Port>,
