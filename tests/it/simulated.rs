@@ -1110,8 +1110,8 @@ impl World {
             let right = held.iter().all(|held| rest.any(|said| said == held))
                 && (held.is_empty() || held.last() == said.last())
                 && (!alone || said.ends_with(&held));
-            // A start that misread a block can know whose an event is, and not that it belongs to the window.
-            ensure(right || self.disk.was_misread(), || {
+            // A damaged database can know whose an event is, and not that it belongs to the window.
+            ensure(right || self.tally.is_hurt(), || {
                 format!("the history of person {person} lacks accepted narration: it has {held:?}, said was {said:?}")
             })?;
         }
