@@ -498,6 +498,7 @@ impl Scrapes {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::eventually::eventually;
     use crate::http::REQUEST_TIME;
     use rand::seq::IndexedRandom;
     use rand::{RngExt, SeedableRng};
@@ -678,20 +679,15 @@ mod tests {
                 std::thread::sleep(Duration::from_millis(1));
             }
         });
-        let mut until = |word: &str| loop {
+        let mut again = || {
             scrapes.asked = None;
-            let text = scrapes.text();
-            if text.contains(word) {
-                break text;
-            }
+            scrapes.text()
         };
-        let busy = until("roomcast_daemon_up 1");
+        let busy =
+            eventually("the daemon is up", || Some(again()).filter(|text| text.contains("roomcast_daemon_up 1")));
         assert!(knows_ada(&busy), "{busy}");
         persons.store(0, Ordering::Relaxed);
-        scrapes.asked = None;
-        while knows_ada(&scrapes.text()) {
-            scrapes.asked = None;
-        }
+        eventually("no habits are left", || (!knows_ada(&again())).then_some(()));
         stop.request();
         daemon.join().unwrap();
         drop((scrapes, node));

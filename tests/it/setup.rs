@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, SystemTime};
 
 use serde_json::Value;
 
@@ -179,6 +179,7 @@ fn text<'a>(finding: &'a Value, key: &str) -> &'a str {
 }
 
 #[test]
+#[ignore = "full"]
 fn a_home_that_is_set_up_well_has_no_fault() {
     let Some(mut home) = Home::new("good") else { return };
     let output = home.init(&["--resident", "Ada"]);
@@ -213,13 +214,12 @@ fn a_home_that_is_set_up_well_has_no_fault() {
     home.start(&["daemon", "--config", &config]);
     home.start(&["narrate", "--mqtt", "--config", &config]);
     home.start(&["planner", "--config", &config]);
-    let start = Instant::now();
-    let (mut open, mut findings) = (false, Vec::new());
-    while start.elapsed() < Duration::from_secs(100) {
+    let mut open = false;
+    let findings = eventually("the daemon runs and two rules are counted", || {
         open = !open;
         let state = if open { "on" } else { "off" };
         home.say(&[("homeassistant/binary_sensor/fridge_door/state".to_owned(), state.to_owned(), true)]);
-        (_, findings) = home.doctor();
+        let (_, findings) = home.doctor();
         // The narrator writes its counts periodically, and after a few minutes no rule counts as unused.
         let is_counted = |finding: &Value| {
             let found = text(finding, "found");
@@ -227,10 +227,8 @@ fn a_home_that_is_set_up_well_has_no_fault() {
                 found.split_once(" rules of 8 fitted a message").and_then(|(count, _)| count.parse::<u32>().ok());
             finding["check"] == "rules that fit" && fitted.is_some_and(|count| count >= 2)
         };
-        if finding(&findings, "daemon")["verdict"] == "good" && findings.iter().any(is_counted) {
-            break;
-        }
-    }
+        (finding(&findings, "daemon")["verdict"] == "good" && findings.iter().any(is_counted)).then_some(findings)
+    });
     assert!(text(finding(&findings, "daemon"), "found").contains(" accepted"), "{findings:#?}");
     let services = text(finding(&findings, "services"), "found");
     assert!(["daemon", "narrator", "planner"].iter().all(|name| services.contains(name)), "{services}");

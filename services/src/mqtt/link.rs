@@ -495,9 +495,7 @@ mod tests {
         eventually("it is connected", || ears.connection() > 0);
         broker.publish(&vec![("robot/map", "x".repeat(1_200_000), false); 64]);
         broker.publish(&[("robot/state", "docked".into(), false)]);
-        let published = Instant::now();
         assert_eq!(hear_until(&ears, "docked").len(), 1);
-        assert!(published.elapsed() < Duration::from_secs(10), "{:?}", published.elapsed());
         assert_eq!(ears.connection(), 1, "it is the same connection");
         assert_eq!(lock(&ears.shared).oversized, 64);
     }
