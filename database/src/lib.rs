@@ -1,6 +1,6 @@
 //! One SQLite file that belongs to one process: opened safely, migrated, and set aside when it is damaged.
 //!
-//! A commit outlives the process at once. It outlives a power loss after the next [`Database::sync`]. The write-ahead log is copied into the file
+//! A commit outlives the process at once. It outlives a power loss after the next [`Database::write_synced`]. The write-ahead log is copied into the file
 //! when it has more than [`WAL_BYTES_MAX`], so both are bounded by what the tables hold.
 
 use std::fs::{self, File, OpenOptions};
