@@ -171,6 +171,8 @@ scenes:
 # it can be installed.
 .PHONY: python
 python:
+	@# Prints the layouts that the client is compared with.
+	@$(CHECKED) cargo build $(TESTS) --example layout
 	@if ! compgen -G 'training/tests/test_*.py' >/dev/null && ! compgen -G 'benches/homes/test_*.py' >/dev/null && \
 	    ! compgen -G 'clients/python/tests/test_*.py' >/dev/null; then \
 	    exit 0; \
