@@ -16,7 +16,7 @@
 //! - If a robot reports, a room is done only after its report, and never if the work ended otherwise.
 //! - A robot at work is not interrupted until it reports the end, falls silent, or a person comes; a charging one is not sent out.
 //! - The wall clock may be set and the machine suspended at any time: neither changes beliefs, except by the time that has passed.
-//! - A power failure loses what was not synced, and nothing else.
+//! - A power failure loses only events after the last sync.
 //! - The disk may refuse any call, lose pages when a sync fails, flip a bit, and return an old or a wrong block. Confirmed events survive unless the
 //!   database is damaged.
 //! - If there are too many events, only the oldest are deleted. Persons' places, sources and ports stay.
@@ -190,7 +190,7 @@ impl Planted {
 const FORGER: Sender = Sender::simulated(u64::MAX);
 const INVENTOR: Sender = Sender::simulated(u64::MAX - 1);
 
-/// A model whose scores depend on every token of the prompt, so that an additional or missing event shows. It fails on request.
+/// A model whose scores depend on every token of the prompt: an additional or missing event shows. It fails on request.
 #[derive(Debug)]
 struct WholePrompt {
     table: TableModel,
@@ -815,7 +815,7 @@ impl World {
         let Some(daemon) = &mut self.daemon else { return };
         let habits = daemon.cycle.engine_mut().habits_mut();
         let Some(memory) = habits.memory_if_changed() else { return };
-        // The next change is written with those that the disk has refused.
+        // The next change is written with those refused by the disk.
         self.tally.habits_written += u64::from(daemon.writer.write_habits(&memory).is_ok());
     }
 
@@ -863,7 +863,7 @@ impl World {
         }
     }
 
-    /// Writes the first `count` records, and those that the disk refused before.
+    /// Writes the first `count` records, and the refused ones before them.
     fn hand_over(&mut self, count: usize) {
         let Some(daemon) = &mut self.daemon else { return };
         let before = self.accepted.len() - events(&daemon.records);
@@ -1110,7 +1110,7 @@ impl World {
             let right = held.iter().all(|held| rest.any(|said| said == held))
                 && (held.is_empty() || held.last() == said.last())
                 && (!alone || said.ends_with(&held));
-            // A damaged database can know whose an event is, and not that it belongs to the window.
+            // A damaged database can know an event's person and lack its place in the window.
             ensure(right || self.tally.is_hurt(), || {
                 format!("the history of person {person} lacks accepted narration: it has {held:?}, said was {said:?}")
             })?;

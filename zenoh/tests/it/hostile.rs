@@ -26,7 +26,7 @@ fn open(folder: &Path) -> Spool {
     })
 }
 
-/// One change of some bytes: at a part of their length, what it does, and with which byte.
+/// One change of some bytes: its place as a part of their length, its kind, its byte.
 type Damage = (f64, u8, u8);
 
 fn damage() -> impl Strategy<Value = Vec<Damage>> {

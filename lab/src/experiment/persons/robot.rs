@@ -8,6 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use super::Believer;
 use crate::home_simulation::DAY_S;
 use roomcast_core::policy::{CoverageAware, Policy, RobotState};
+use roomcast_services::config::PlannerConfig;
 
 /// Seconds of work in a room.
 const STAY_S: usize = 600;
@@ -15,8 +16,6 @@ const STAY_S: usize = 600;
 const STAYS: usize = 2;
 /// The robot works between these hours.
 const HOURS: std::ops::Range<usize> = 8..20;
-/// The robot leaves a room that is occupied with this probability, as `planner.interrupt_at` says by default.
-const LEAVES_AT: f64 = 0.6;
 
 /// Sums of a robot: minutes of work, minutes with somebody in its room, rooms of ended rounds.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -44,6 +43,8 @@ pub(super) struct Robot {
     /// The room and the second in which its stay ends.
     at: Option<(usize, usize)>,
     round_ends: Option<usize>,
+    /// The robot leaves a room that is occupied with this probability.
+    leaves_at: f64,
     random: ChaCha8Rng,
     pub(super) work: Work,
 }
@@ -51,7 +52,8 @@ pub(super) struct Robot {
 impl Robot {
     pub(super) fn new(rooms: usize) -> Self {
         let (covered, random) = (vec![false; rooms], ChaCha8Rng::seed_from_u64(0));
-        Self { covered, left: None, at: None, round_ends: None, random, work: Work::default() }
+        let leaves_at = PlannerConfig::default().interrupt_at;
+        Self { covered, left: None, at: None, round_ends: None, leaves_at, random, work: Work::default() }
     }
 
     /// Passes a minute. `is_occupied` is the truth.
@@ -62,7 +64,7 @@ impl Robot {
             return;
         }
         match self.at {
-            Some((room, _)) if own.occupied(room) >= LEAVES_AT => (self.at, self.left) = (None, Some(room)),
+            Some((room, _)) if own.occupied(room) >= self.leaves_at => (self.at, self.left) = (None, Some(room)),
             Some((room, ends)) if second >= ends => {
                 self.covered[room] = true;
                 self.at = None;
@@ -105,7 +107,7 @@ impl Robot {
         };
         let chosen = CoverageAware::new(None).choose(&state, &now, &mut self.random);
         // The planner pauses in front of an occupied room.
-        chosen.ok().map(|choice| choice.partition.0 as usize).filter(|room| now[*room] < LEAVES_AT)
+        chosen.ok().map(|choice| choice.partition.0 as usize).filter(|room| now[*room] < self.leaves_at)
     }
 }
 
