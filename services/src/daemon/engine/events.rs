@@ -72,6 +72,7 @@ impl<M: LanguageModel> Engine<M> {
             return (is_read_alone, moves);
         }
         let is_unnamed = is_sensor || matches!(who, Who::Unknown(_)) && !own.by_fit;
+        let is_of_anybody = is_weighed && is_of_anybody(&own.event, &who);
         let parts = match (weighed, &who) {
             (Weighed::Yes, Who::Unknown(count)) if is_unnamed => self.shares(&own, *count),
             (Weighed::Yes, _) if is_sensor => self.shares(&own, 1),
@@ -79,6 +80,9 @@ impl<M: LanguageModel> Engine<M> {
             _ if is_sensor => Vec::new(),
             _ => self.each(own, &who, reporter),
         };
+        if is_of_anybody {
+            self.drop_idle(|person| parts.iter().any(|own| own.person == person));
+        }
         let is_unclear = parts.is_empty() && !is_sensor && is_weighed;
         parts.into_iter().for_each(|own| take(self, own));
         if is_unclear {
@@ -266,16 +270,31 @@ impl<M: LanguageModel> Engine<M> {
         observation: &Observation,
         reporter: Reporter,
         at_ns: Option<i64>,
-        robot: bool,
+        moves: &[Move],
     ) {
         if let Ok((who, event)) =
             self.attribution.read((&self.map, self.scoring.pipeline.grounding()), observation, reporter)
         {
             let own = Observation { event, name: observation.name.clone(), ..*observation };
-            self.belief.restored_robot = Some(robot);
-            self.weigh(&own, &who, reporter, at_ns);
+            self.belief.restored_robot = Some(moves.iter().any(Move::is_of_a_robot));
+            let weighed = self.weigh(&own, &who, reporter, at_ns);
             self.belief.restored_robot = None;
+            if weighed == Weighed::Yes && is_of_anybody(&own.event, &who) {
+                self.drop_idle(|person| moves.iter().any(|own| own.person == person));
+            }
         }
+    }
+
+    /// Removes persons that are gone, or that a number in an event added, from the filter if they have no part in an event that may be of any
+    /// person. A restart does the same.
+    fn drop_idle(&mut self, has_part: impl Fn(PersonId) -> bool) {
+        let Some(tracking) = &mut self.belief.tracking else { return };
+        let persons = &self.attribution.persons;
+        let followed = persons.followed();
+        let is_gone = |person| persons.get(person).is_none_or(|known| known.presence == Presence::Gone);
+        let is_idle = |person: &PersonId| is_gone(*person) && !followed.contains(person) && !has_part(*person);
+        let idle: Vec<PersonId> = tracking.persons().iter().copied().filter(is_idle).collect();
+        idle.into_iter().for_each(|person| tracking.remove(person));
     }
 
     /// The parts of an event without a name, after the filter weighed it: a person takes it with a posterior above [`HALF`]. If the filter believes
@@ -320,17 +339,10 @@ impl<M: LanguageModel> Engine<M> {
         let followed = self.attribution.persons.followed();
         let persons = tracking.persons().iter().filter(|person| followed.contains(person) || count > 1);
         let parts: Vec<Observation> = persons.filter_map(part).collect();
-        let unknown = |person: &PersonId| self.attribution.persons.get(*person).is_none() && !followed.contains(person);
-        let took_part = |person: &PersonId| parts.iter().any(|own| own.person == *person);
-        let idle: Vec<PersonId> =
-            tracking.persons().iter().copied().filter(|person| unknown(person) && !took_part(person)).collect();
         if let [only] = &parts[..]
             && only.event == own.event
         {
             self.note_attributed(&parts);
-        }
-        if let Some(tracking) = &mut self.belief.tracking {
-            idle.into_iter().for_each(|person| tracking.remove(person));
         }
         parts
     }
@@ -419,6 +431,11 @@ impl<M: LanguageModel> Engine<M> {
         }
         true
     }
+}
+
+/// Whether an event that the filter weighs may be of any person.
+fn is_of_anybody(event: &Event, who: &Who) -> bool {
+    matches!(event, Event::Sensor(_)) || matches!(who, Who::Unknown(_))
 }
 
 /// How the person of an event was found.

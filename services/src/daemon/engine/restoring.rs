@@ -75,7 +75,7 @@ impl<M: LanguageModel> Engine<M> {
         let reporter = self.attribution.reporter(observation.source, is_unknown);
         self.scoring.pipeline.intake().include(&observation, quota);
         let mut persons = Vec::new();
-        let Some(moves) = moved else {
+        let Some(mut moves) = moved else {
             // A former run that was killed, or an older version, did not store the moves.
             let name = observation.id();
             let enter = |engine: &mut Self, own: Observation| {
@@ -91,15 +91,15 @@ impl<M: LanguageModel> Engine<M> {
             }
             return persons;
         };
+        for own in &mut moves {
+            own.person = self.attribution.persons.file().current(own.person);
+        }
         // A refused event has no moves.
         if !moves.is_empty() {
-            let robot = moves.iter().any(Move::is_of_a_robot);
-            self.weigh_again(&observation, reporter, at_ns, robot);
+            self.weigh_again(&observation, reporter, at_ns, &moves);
         }
         for own in moves {
-            let person = self.attribution.persons.file().current(own.person);
-            let own = Move { person, ..own }.apply(&observation);
-            if let Some(own) = self.retake(own, reporter, at_ns) {
+            if let Some(own) = self.retake(own.apply(&observation), reporter, at_ns) {
                 persons.push(own.person);
                 self.enter_restored(quota, own);
             }

@@ -374,6 +374,44 @@ fn a_restart_remembers_where_everybody_is() {
     }
 }
 
+/// The running daemon and the restarted one remove a gone person from the joint filter, and persons that a number in an event added.
+#[test]
+fn a_restart_removes_the_same_persons_from_the_filter() {
+    let somebody = |at_s, event: Event| Observation { event, ..observation(PersonId::SOMEBODY, at_s * S, "They sit.") };
+    let gone = Observation { event: Event::Gone, ..observation(PersonId(1), 14 * S, "They sit.") };
+    let heard = [
+        observation(PersonId(0), 10 * S, "They grab the coffee maker."),
+        observation(PersonId(1), 11 * S, "They sit on the sofa."),
+        somebody(12, said("They grab the coffee maker.")),
+        Observation { count: 3, ..somebody(13, said("They sit on the sofa.")) },
+        gone,
+        somebody(15, Event::Present(None)),
+        somebody(18, said("They sit on the sofa.")),
+        somebody(19, said("They grab the coffee maker.")),
+    ];
+    let mut before = engine();
+    let mut known = recovered(heard.clone());
+    for own in &heard {
+        let now_ns = own.observed_ns;
+        before.step([Entry::new(own.clone(), now_ns)], now_ns, own.observed_unix_ns).unwrap();
+        before.tell_moved(|moved| _ = known.moved.insert(moved.observation, moved.moves.clone()));
+    }
+    assert!(before.is_joint());
+    let (now_ns, now_unix_ns) = (BootNs(20 * S), UnixNs(1_000_020 * S));
+    before.step([], now_ns, now_unix_ns).unwrap();
+    let mut after = engine();
+    after.restore(known, now_ns, now_unix_ns);
+    after.step([], now_ns, now_unix_ns).unwrap();
+    let (before, after) = (*before.person_forecasts(now_ns), *after.person_forecasts(now_ns));
+    assert_eq!(before.persons().len(), after.persons().len());
+    for (own, again) in before.persons().iter().zip(after.persons()) {
+        for (own, again) in own.probability.iter().flatten().zip(again.probability.iter().flatten()) {
+            // The database also has expectations.
+            assert!((own - again).abs() < 0.01, "{own} before, {again} after a restart");
+        }
+    }
+}
+
 /// The step that scores the events of a failed step reports them, with the longest wait.
 #[test]
 fn a_failed_step_loses_neither_gap_nor_latency() {
