@@ -412,6 +412,8 @@ struct World {
     taken: BTreeSet<EventId>,
     /// Events that damage took from the journal: they may be lost and accepted again.
     damaged: BTreeSet<EventId>,
+    /// Events without effect, because a later event contradicts them. The journal may have lost the later event.
+    overtaken: BTreeSet<EventId>,
     /// Events that scores contain and claim: their narrators may have forgotten them.
     claimed: BTreeSet<EventId>,
     trace: VecDeque<String>,
@@ -514,6 +516,7 @@ impl World {
             ever_attributed: BTreeSet::new(),
             taken: BTreeSet::new(),
             damaged: BTreeSet::new(),
+            overtaken: BTreeSet::new(),
             claimed: BTreeSet::new(),
             trace: VecDeque::new(),
             trace_lines: number("ROOMCAST_TRACE").map_or(60, |lines| usize::try_from(lines).unwrap()),
@@ -1127,6 +1130,24 @@ impl World {
         }
     }
 
+    /// Accepted events without effect, because a later event contradicts them, and events for which this depends on the times of looks.
+    fn all_overtaken(&self) -> BTreeSet<EventId> {
+        let mut by_person: BTreeMap<PersonId, Vec<&Observation>> = BTreeMap::new();
+        for said in &self.accepted {
+            if let Some(person) = self.person_of(said) {
+                by_person.entry(person).or_default().push(said);
+            }
+        }
+        let mut overtaken = BTreeSet::new();
+        for own in by_person.into_values() {
+            overtaken.extend(own.iter().map(|said| said.id()));
+            for said in in_time(own, false, &self.overtaken).unwrap_or_default() {
+                overtaken.remove(&said.id());
+            }
+        }
+        overtaken
+    }
+
     /// Each person's scores equal those of the person alone, with the events of the window; all together say whether persons are in the house.
     fn check_persons(&mut self, message: &RoomScoresV1) -> Check {
         let (now_ns, limits) = (self.now_ns, self.options.history);
@@ -1170,7 +1191,7 @@ impl World {
                 format!("nobody named person {number}")
             })?;
             let is_visitor = person.has(person_flags::VISITOR);
-            let Some(own) = in_time(own, is_visitor) else {
+            let Some(own) = in_time(own, is_visitor, &self.overtaken) else {
                 self.tally.untold += 1;
                 if person.presence == presence::PRESENT {
                     present.push(number);
@@ -1468,6 +1489,9 @@ impl World {
             self.strangers.clear();
         }
         let whose = attributions(&recovered);
+        // The journal still says that these events had no effect.
+        self.overtaken = self.all_overtaken();
+        self.overtaken.retain(|name| recovered.moved.get(name).is_some_and(Vec::is_empty));
         self.check_recovered(&back, &whose)?;
         // A start that missed events has other beliefs, so it is not compared with the ghost.
         let is_whole = |ghost: &mut Ghost| ghost.accepted == back.len() && !self.disk.was_misread();
@@ -1914,10 +1938,14 @@ impl World {
 
 /// A person's observations without those that came after a later contradiction of the presence. `None` if this depends on the times of looks: an
 /// absent person or a silent visitor may have been forgotten before the event came.
-fn in_time(own: Vec<&Observation>, is_visitor: bool) -> Option<Vec<&Observation>> {
+fn in_time<'a>(
+    own: Vec<&'a Observation>,
+    is_visitor: bool,
+    overtaken: &BTreeSet<EventId>,
+) -> Option<Vec<&'a Observation>> {
     let (mut newest_ns, mut presence, mut was_gone) = (0, Presence::Unknown, false);
     let mut kept = Vec::with_capacity(own.len());
-    for observation in own {
+    for observation in own.into_iter().filter(|observation| !overtaken.contains(&observation.id())) {
         let is_late = observation.observed_ns < BootNs(newest_ns);
         if is_late && (is_visitor || was_gone) {
             return None;
