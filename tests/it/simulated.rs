@@ -272,12 +272,15 @@ struct Daemon {
     scored_map: usize,
     /// No scores were sent since the start.
     restarted: bool,
+    /// The joint filter began with an event after others without scores.
+    began_unscored: bool,
 }
 
 /// The engine of a daemon that was killed when the journal had all its state, for comparison with the restarted one.
 struct Ghost {
     engine: Engine<WholePrompt>,
     accepted: usize,
+    began_unscored: bool,
 }
 
 struct Narrator {
@@ -990,6 +993,7 @@ impl World {
             daemon.cycle.enter(entry, record);
         }
         daemon.entered = contained;
+        let may_begin = !daemon.cycle.engine().is_joint() && contained > daemon.scored + 1;
         if daemon.cycle.step_due(BootNs(now_ns)) {
             match daemon.cycle.step(BootNs(now_ns), UnixNs(unix_ns)) {
                 Ok(()) => {
@@ -1029,6 +1033,7 @@ impl World {
                 }
             }
         }
+        daemon.began_unscored |= may_begin && daemon.cycle.engine().is_joint();
         // The loop waits a moment for the journal, which is mostly enough.
         if self.rng.random_bool(0.8) {
             let waiting = daemon.records.len();
@@ -1329,8 +1334,10 @@ impl World {
                 // stays.
                 // An unnamed event divides two small beliefs, so the joint filter enlarges a difference: .105 was the largest of 15 000 seeds.
                 let tolerance = if is_joint { 0.15 } else { 1e-4 };
-                // The joint filter moves persons by the local hour, starts with the events of the database, and weighs a late event when it arrives.
-                let is_moved = is_joint && (self.tally.clocks_set > 0 || self.trimmed > 0 || self.was_late);
+                // The joint filter moves persons by the local hour, starts with the events of the database, and weighs a late event when it arrives. A
+                // restart gives it the expectations after all earlier events.
+                let is_moved = is_joint
+                    && (self.tally.clocks_set > 0 || self.trimmed > 0 || self.was_late || ghost.began_unscored);
                 let is_open = !same_windows || self.learns || self.trimmed > 0 || is_moved;
                 ensure(is_open || (before - after).abs() < tolerance, || {
                     format!("after a restart person {} is in a room with {after}, before with {before}", own.person)
@@ -1383,10 +1390,13 @@ impl World {
             && !self.disk.was_misread()
             && daemon.scored == self.accepted.len()
             && daemon.map == daemon.scored_map;
-        let accepted = self.accepted.len();
+        let (accepted, began_unscored) = (self.accepted.len(), daemon.began_unscored);
         // Beliefs from another map concern other rooms.
-        let ghost =
-            (whole && self.tally.map_changes == 0).then(|| Ghost { engine: daemon.cycle.into_engine(), accepted });
+        let ghost = (whole && self.tally.map_changes == 0).then(|| Ghost {
+            engine: daemon.cycle.into_engine(),
+            accepted,
+            began_unscored,
+        });
         self.ghost = ghost;
         for lost in self.accepted.split_off(kept) {
             let name = lost.id();
@@ -1544,6 +1554,7 @@ impl World {
             map: 0,
             scored_map: 0,
             restarted: true,
+            began_unscored: false,
         });
         for narrator in &mut self.narrators {
             narrator.wire = narrator.history.clone();
