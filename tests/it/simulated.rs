@@ -1332,7 +1332,7 @@ impl World {
             for (before, after) in rows.flat_map(|(before, after)| before.iter().zip(after)) {
                 // Habits learned after the last write are learned again in less detail. Observations older than the journal affect the length of
                 // stays.
-                // An unnamed event divides two small beliefs, so the joint filter enlarges a difference: .105 was the largest of 15 000 seeds.
+                // An unnamed event divides two small beliefs, so the joint filter enlarges a difference: .123 was the largest of 14 000 seeds.
                 let tolerance = if is_joint { 0.15 } else { 1e-4 };
                 // The joint filter moves persons by the local hour, starts with the events of the database, and weighs a late event when it arrives. A
                 // restart gives it the expectations after all earlier events.
