@@ -9,6 +9,7 @@ use roomcast_core::pipeline::{Pipeline, PipelineError, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::raw::narration_kind;
+use roomcast_ipc::sequence::source_of_name;
 use serde::Serialize;
 
 use crate::config::Config;
@@ -19,7 +20,6 @@ use crate::setup;
 
 /// Seconds between two events without times.
 const APART_S: u64 = 5;
-const SOURCE: u64 = 1;
 
 /// A dry run cannot begin or continue.
 #[derive(Debug, thiserror::Error)]
@@ -117,6 +117,7 @@ fn meaning(report: &SensorReport) -> String {
 #[derive(Debug)]
 pub struct DryRun {
     engine: Engine<TableModel>,
+    source: u64,
     sequence: u64,
     now_ns: BootNs,
     unix_ns: UnixNs,
@@ -137,9 +138,13 @@ impl DryRun {
     fn of(map: SemanticMap, config: &Config, persons: Persons, now_unix_ns: UnixNs) -> Result<Self, DryRunError> {
         let grounding = Grounding::new(&map, &config.grounding)?;
         let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default())?;
-        let engine =
-            Engine::new(pipeline, map, config.grounding, 1)?.with_persons(persons).with_forecast(config.forecast);
-        Ok(Self { engine, sequence: 0, now_ns: BootNs(1_000_000_000_000), unix_ns: now_unix_ns })
+        let named = config.daemon.narrator.iter().map(|known| (source_of_name(&known.name), known.may));
+        let engine = Engine::new(pipeline, map, config.grounding, 1)?
+            .with_persons(persons)
+            .with_forecast(config.forecast)
+            .with_named(named);
+        let source = source_of_name(&config.narrator.name);
+        Ok(Self { engine, source, sequence: 0, now_ns: BootNs(1_000_000_000_000), unix_ns: now_unix_ns })
     }
 
     /// The effect of an item after all items before it; `None` if the daemon would reject the item.
@@ -159,7 +164,7 @@ impl DryRun {
         let observation = Observation {
             person,
             name,
-            source: SOURCE,
+            source: self.source,
             epoch: 1,
             observed_ns: self.now_ns,
             observed_unix_ns: self.unix_ns,
@@ -171,7 +176,7 @@ impl DryRun {
         self.engine.step([Entry::new(observation, self.now_ns)], self.now_ns, self.unix_ns)?;
         self.engine.tell_outcomes(|_| {});
         let after = self.places();
-        let line = self.engine.understood_lines(SOURCE, 1, self.sequence).pop();
+        let line = self.engine.understood_lines(self.source, 1, self.sequence).pop();
         Ok(line.map(|understood| {
             let belief = |person: PersonId| {
                 let (_, own) = after.iter().find(|(number, _)| *number == person)?;
@@ -248,5 +253,24 @@ mod tests {
             let said = shown(line);
             assert!(said.contains(part), "{said}");
         }
+    }
+
+    #[test]
+    fn a_dry_run_has_the_rights_of_its_narrator() {
+        let config = "[[daemon.narrator]]\nname = \"phones\"\nmay = [\"presence\"]\n[[daemon.narrator]]\nname = \"cam\"\nmay = [\"did\"]\n";
+        let why = |name: &str, text: &str| {
+            let map = SemanticMap::from_json(include_str!("../../scenes/flat.json")).unwrap();
+            let config: Config = format!("{config}[narrator]\nname = \"{name}\"\n").parse().unwrap();
+            let residents = vec!["Ada".to_owned()];
+            let persons = Persons::new(PersonsConfig { residents, ..PersonsConfig::default() }, PersonsFile::default());
+            let mut dry_run = DryRun::of(map, &config, persons, UnixNs(1_000_000_000_000_000_000)).unwrap();
+            let item = line_item(text, &Who::Somebody).unwrap();
+            dry_run.take(&item).unwrap().unwrap().understood.why.unwrap_or_default()
+        };
+        assert_eq!(why("phones", "Everybody leaves the house."), "");
+        for name in ["cam", "other"] {
+            assert!(why(name, "Everybody leaves the house.").contains("may not set presence"), "{name}");
+        }
+        assert!(why("phones", "They sit on the sofa.").contains("may send presence only"));
     }
 }

@@ -87,8 +87,10 @@ pub fn load_model(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaMo
     let model = match path {
         Some(path) => {
             let mut scorer = Scorer::new(LlamaModel::load(path, options)?);
-            // Scoring reports a failure in its turn.
-            let weakness = familiarity::weakness(&mut scorer).ok().flatten();
+            let weakness = familiarity::weakness(&mut scorer).unwrap_or_else(|error| {
+                tracing::warn!(%error, "the model cannot be checked for noise");
+                None
+            });
             scorer.into_model().judged(weakness)
         }
         None => {

@@ -8,6 +8,7 @@ use std::time::Duration;
 use roomcast_ipc::question;
 
 use super::{CommandResult, Failure, draw, ranges, record, score, service};
+use crate::columns::prose;
 use crate::exit_code;
 use crate::reasons::{called, why_text};
 use roomcast_core::explanation::{Explanation, PartitionReason};
@@ -76,6 +77,7 @@ pub fn run(args: &Args) -> CommandResult {
         let text = "--config, --root and --domain name a running system: give --live, too, or leave them out";
         return Err(Failure::new(exit_code::USAGE, text));
     }
+    let mut flags = Vec::new();
     let (moment, note) = if args.live {
         let (_, domain) = args.service.load()?;
         let ipc = |error| Failure::new(exit_code::IPC, error);
@@ -90,7 +92,10 @@ pub fn run(args: &Args) -> CommandResult {
         (moment, Some(note))
     } else {
         let (pipeline, map) = score::scored(&args.score)?;
-        (Moment::of(&pipeline, &map, &args.score.grounding(), None), None)
+        let warning = score::warning(&pipeline);
+        flags.extend(warning.as_ref().map(|(flag, _)| *flag));
+        let note = warning.map(|(_, text)| prose(&text));
+        (Moment::of(&pipeline, &map, &args.score.grounding(), None), note)
     };
     let failed = |error| Failure::new(exit_code::FAILURE, error);
     let unknown = |error| Failure::new(exit_code::INPUT, error);
@@ -111,6 +116,9 @@ pub fn run(args: &Args) -> CommandResult {
     if args.score.json() {
         let failed_json = |error: serde_json::Error| Failure::new(exit_code::FAILURE, error);
         let mut value = serde_json::to_value(&explained.explanation).map_err(failed_json)?;
+        if !flags.is_empty() {
+            value["flags"] = flags.into();
+        }
         if !moment.habits.is_empty() {
             let mut habits = serde_json::to_value(&moment.habits).map_err(failed_json)?;
             for (own, learned) in habits.as_array_mut().into_iter().flatten().zip(&moment.habits) {

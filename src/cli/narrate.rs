@@ -52,9 +52,9 @@ pub struct Args {
     #[cfg(feature = "mqtt")]
     #[arg(long, value_name = "FILE", requires = "mqtt", conflicts_with_all = OTHER_INPUTS)]
     mqtt_ca: Option<PathBuf>,
-    /// Publish nothing: print how the daemon would understand each event, its person, place and belief. With --mqtt, print each message with its rule
-    /// and sentence instead.
-    #[arg(long, conflicts_with = "fifo")]
+    /// Publish nothing: print how the daemon would understand each event, its person, place and belief. With --mqtt and without --json, print each
+    /// message with its rule and sentence instead.
+    #[arg(long)]
     dry_run: bool,
     /// This source's name, in place of the configuration's; it must differ between narrators.
     #[arg(long, value_name = "NAME")]
@@ -108,7 +108,8 @@ pub fn run(args: &Args) -> CommandResult {
             return Err(Failure::new(exit_code::USAGE, text));
         };
         if args.dry_run {
-            return narrate_mqtt::rehearse(&broker, rules, &config, &stop);
+            let rehearse = if args.json { narrate_mqtt::rehearse_as_json } else { narrate_mqtt::rehearse };
+            return rehearse(&broker, rules, &person, &config, &stop);
         }
         let (lines, listener) = narrate_mqtt::listen(&broker, rules, person, &config, &stop)?;
         // The broker's connection ends first. Then the remaining lines are published.

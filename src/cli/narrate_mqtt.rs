@@ -6,16 +6,18 @@ use std::time::Duration;
 
 use roomcast_core::grounding::Grounding;
 use roomcast_core::places::PlaceMatcher;
+use roomcast_services::clock;
 use roomcast_services::config::Config;
 use roomcast_services::daemon::{Persons, PersonsFile};
+use roomcast_services::dry_run::DryRun;
 use roomcast_services::mqtt::tally::Tally;
 use roomcast_services::mqtt::{self, Broker, Heard, MqttError, Rules};
-use roomcast_services::narrator::{Input, Who};
+use roomcast_services::narrator::{Input, Who, line_item};
 use roomcast_services::setup;
 use roomcast_services::stop::Stop;
 
 use super::doctor::Remarks;
-use super::{CommandResult, Failure, broker, count, print};
+use super::{CommandResult, Failure, broker, count, print, print_json_line};
 use crate::exit_code;
 
 const TICK: Duration = Duration::from_millis(100);
@@ -49,7 +51,7 @@ pub(super) fn listen(
 
 /// Prints the lines of the broker's messages until asked to stop, and reports rooms and things that the home's map lacks, and unknown persons. No
 /// daemon is needed.
-pub(super) fn rehearse(broker: &Broker, rules: &Path, config: &Config, stop: &Stop) -> CommandResult {
+pub(super) fn rehearse(broker: &Broker, rules: &Path, _: &Who, config: &Config, stop: &Stop) -> CommandResult {
     let rules = Rules::load(rules).map_err(broker::failure)?;
     let options = broker.options().map_err(broker::failure)?;
     // The included studio is not this home: its rooms do not matter for the rules.
@@ -70,6 +72,32 @@ pub(super) fn rehearse(broker: &Broker, rules: &Path, config: &Config, stop: &St
         count(usize::try_from(said).unwrap_or(usize::MAX), "line")
     );
     print(&summary)
+}
+
+/// Prints how the daemon would understand each event of the broker's messages, a line of JSON each.
+pub(super) fn rehearse_as_json(
+    broker: &Broker,
+    rules: &Path,
+    person: &Who,
+    config: &Config,
+    stop: &Stop,
+) -> CommandResult {
+    let rules = Rules::load(rules).map_err(broker::failure)?;
+    let options = broker.options().map_err(broker::failure)?;
+    let failed = |error| Failure::new(exit_code::CONFIG, error);
+    let mut dry_run = DryRun::new(config, clock::unix_ns()).map_err(failed)?;
+    let mut fault = None;
+    let mut print = |line: &str| {
+        let item = line_item(line, person).ok()?;
+        let shown = dry_run.take(&item).map_err(failed).transpose()?.and_then(|line| print_json_line(&line));
+        if let Err(error) = shown {
+            fault = Some(error);
+            stop.request();
+        }
+        None
+    };
+    mqtt::rehearse(options, rules, std::io::sink(), stop, &mut print).map_err(broker::failure)?;
+    fault.map_or(Ok(()), Err)
 }
 
 /// A stop that follows the given one after [`PATIENCE`].

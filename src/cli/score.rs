@@ -235,7 +235,7 @@ pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap
 }
 
 /// A flag of the scores, and its meaning.
-fn warning<M: LanguageModel>(pipeline: &Pipeline<M>) -> Option<(&'static str, String)> {
+pub fn warning<M: LanguageModel>(pipeline: &Pipeline<M>) -> Option<(&'static str, String)> {
     match (&pipeline.inside().model().weakness, pipeline.scores().trust) {
         (Some(reason), _) => {
             Some(("model-weak", format!("MODEL_WEAK: these scores are noise. The model is weak: {reason}.")))

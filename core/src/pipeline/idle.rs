@@ -6,6 +6,7 @@ use crate::ids::PersonId;
 use crate::narration::history::History;
 use crate::prepared::{Answer, Outlook, PersonOutlook};
 use crate::prompt::write_prompt;
+use crate::scorer::certified::Effort;
 use crate::scorer::{LabelScores, LanguageModel, Progress, ScoreError, Tokenisation};
 
 /// Prefetches answers and does idle-time work: [`Pipeline::idle`].
@@ -30,13 +31,19 @@ impl<M: LanguageModel> Idle<'_, M> {
     }
 
     /// The room probabilities after one sentence alone, without any person's window; of an empty text, after none. Scores, windows and explanations
-    /// are unchanged. The second value is their weight ([`super::PersonScores::trust`]). The model has to read the narration of the last scored person
+    /// are unchanged. The second value is their weight ([`super::PersonScores::trust`]): 0, without a pass, of a weak model and of one that needs longer for
+    /// a prompt than the deadline. The model has to read the narration of the last scored person
     /// again, which idle time does.
     ///
     /// # Errors
     /// If the model fails.
     pub fn rooms_of(&mut self, text: &str) -> Result<(Vec<f64>, f64), PipelineError> {
         let own = &mut *self.0;
+        let is_slow = own.options.effort == Effort::Deadline && own.prompt_ns > own.options.deadline_ns;
+        if is_slow || own.scorer.model().info().weakness.is_some() {
+            let rooms = own.grounding.partitions().len();
+            return Ok((vec![1.0 / rooms as f64; rooms], 0.0));
+        }
         let trailing_space = own.options.tokenisation == Tokenisation::Paper;
         let mut prompt = String::new();
         let text = Some(text).filter(|text| !text.is_empty());

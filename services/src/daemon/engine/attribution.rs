@@ -56,6 +56,8 @@ pub(super) enum Reason {
     MayNotDid,
     #[strum(serialize = "the text begins with a name from persons.not_persons")]
     NoPerson,
+    #[strum(serialize = "the text says that nobody is there, or that a person is not")]
+    Nobody,
     #[strum(serialize = "a named narrator reported this person within persons.guard_s")]
     Guarded,
     #[strum(serialize = "a later event of this person or device says otherwise")]
@@ -78,7 +80,7 @@ pub(super) struct Understood {
     pub(super) reason: Option<Reason>,
 }
 
-fn is_keyed(observation: &Observation) -> bool {
+pub(super) fn is_keyed(observation: &Observation) -> bool {
     observation.person != PersonId::SOMEBODY && !observation.by_fit || observation.name.is_some()
 }
 
@@ -181,23 +183,27 @@ impl Attribution {
             return reporter.may.presence.then(|| (who, observation.event.clone())).ok_or(Reason::MayNotPresence);
         };
         let text = sentence.as_str();
-        if reporter.may.presence
-            && observation.may_be_form
+        if observation.may_be_form
             && let Some(read) = self.read_form(home, observation, text)
         {
-            return Ok(read);
+            return reporter.may.presence.then_some(read).ok_or(Reason::MayNotPresence);
         }
         if !reporter.may.did {
             return Err(Reason::MayNotDid);
         }
         let who = if is_keyed {
             Who::Key
+        } else if forms::says_nobody(text, |room| home.0.room(room, home.1).is_some()) {
+            return Err(Reason::Nobody);
         } else if let Some((number, name)) = self.persons.at_start(text) {
             Who::Named(number, name.into())
         } else if self.persons.begins_with_no_person(text) {
             return Err(Reason::NoPerson);
         } else {
-            unknown(if observation.count > 0 { observation.count } else { forms::count_of_persons(text).unwrap_or(1) })
+            // A text invents no persons; the key "count" may.
+            let counted =
+                || forms::count_of_persons(text).unwrap_or(1).min(self.persons.followed().len().clamp(1, 255) as u8);
+            unknown(if observation.count > 0 { observation.count } else { counted() })
         };
         Ok((who, observation.event.clone()))
     }

@@ -4,7 +4,7 @@ use super::super::journal::Move;
 use super::super::person_question::{By, UnderstoodLine};
 use super::super::persons::LATE_NS;
 use super::super::sleep::{is_bed, sleeps};
-use super::attribution::{HALF, Reason, Reporter, Understood, Weighed, Who, is_off, likeliest};
+use super::attribution::{HALF, Reason, Reporter, Understood, Weighed, Who, is_keyed, is_off, likeliest};
 use super::belief::Seen;
 use super::records::Attributed;
 use super::tracking::Said;
@@ -26,7 +26,8 @@ impl<M: LanguageModel> Engine<M> {
         mut enter: impl FnMut(&mut Self, Observation),
     ) -> (bool, Vec<Move>) {
         let mut moves = self.records.no_moves();
-        let (id, event, by) = (observation.id(), observation.event.clone(), By::Key);
+        let by = if is_keyed(&observation) { By::Key } else { By::Fit };
+        let (id, event) = (observation.id(), observation.event.clone());
         let mut understood = Understood { id, event, persons: SmallVec::new(), by, reason: None };
         let (who, event) =
             match self.attribution.read((&self.map, self.scoring.pipeline.grounding()), &observation, reporter) {
@@ -198,6 +199,16 @@ impl<M: LanguageModel> Engine<M> {
         let reading = if reporter.is_unknown { None } else { self.reading(&own.event) };
         let mention = own.event.sentence().and_then(|text| self.map.matcher.last(text.as_str()));
         let grounding = self.scoring.pipeline.grounding();
+        // In a home of one person, an action is that person's.
+        let only = || {
+            let persons = &self.attribution.persons;
+            let is_action =
+                count == 1 && matches!(own.event, Event::Did(_)) && !persons.are_several(reporter.is_unknown);
+            let person = persons.followed().first().copied().filter(|_| is_action)?;
+            let tracking = self.belief.tracking.as_deref()?;
+            (tracking.probability(person, None) < 0.5).then_some(person)
+        };
+        let who_is = who_is.or_else(only);
         let row = mention.map(|found| {
             let fits = |room| {
                 let share = found.share(grounding, room);

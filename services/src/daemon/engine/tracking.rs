@@ -322,7 +322,17 @@ impl Tracking {
             self.tracker.observe(at_s, &Observation::Lies { who }, trust);
         }
         if let (2.., Some(room)) = (said.count, said.room) {
-            let persons = said.count.into();
+            let is_in = |person: &usize| self.tracker.probability(*person, None) < 0.5;
+            let present: Vec<usize> = (0..self.persons.len()).filter(is_in).collect();
+            let persons = usize::from(said.count);
+            if present.len() <= persons {
+                // All of them are there.
+                for who in present.iter().copied() {
+                    self.tracker.observe(at_s, &Observation::Present { who: Some(who), room: Some(room) }, trust);
+                }
+            }
+            // Nobody can count more persons than there are, and a visitor.
+            let persons = persons.min(1 + self.persons.len());
             self.tracker.observe(at_s, &Observation::Count { room, persons }, trust);
         }
         true

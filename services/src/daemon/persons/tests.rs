@@ -673,11 +673,36 @@ fn counted_persons_are_limited_by_residents_and_visitors() {
     let mut house = House::of("Ada, Ben", "1 Ada: They lie on the bed. | 5: Two people are in the kitchen.");
     house.play("= Ada present, Ben present | 5: Five people are in the kitchen.");
     assert_eq!(house.known(), 2);
-    let mut house = House::of("", "5: Two people are cooking in the kitchen.");
-    assert_eq!(house.known(), 2);
+    let mut house = House::of("", "5: Two people are cooking in the kitchen. | 5: They set the table for six people.");
+    assert_eq!(house.known(), 1, "a text invents nobody");
     let counted = Observation { count: 3, ..house.observation(0, "somebody", "They cook in the kitchen.") };
     house.enter(counted);
     assert_eq!(house.known(), 3);
+}
+
+#[test]
+fn two_people_in_a_room_are_both_residents() {
+    let steps = "1 Ada: They lie on the bed. | 5 Ben: They take a shower. | 60: Two people are in the kitchen. | ? Ada kitchen > .8 | ? Ben kitchen > .8";
+    House::of("Ada, Ben", steps);
+}
+
+#[test]
+fn a_count_takes_no_event_from_the_only_person() {
+    let mut house = House::of("Ada", "1: They lie on the bed.");
+    let counted = Observation { count: 2, ..house.observation(0, "somebody", "They cook in the kitchen.") };
+    house.enter(counted);
+    house.play("30: They walk to the bathroom. | ? Ada bathroom > .6");
+}
+
+#[test]
+fn a_text_about_nobody_moves_nobody() {
+    const TEXTS: &str = "There is nobody in the kitchen.|The image shows an empty kitchen.|Ada is not home.|No one is visible in the kitchen.";
+    let mut house = House::of("Ada", "1: They walk to the bathroom.");
+    for text in TEXTS.split('|') {
+        house.play(&format!("1: {text} | ? Ada bathroom > .6"));
+        let why = house.engine.understood_lines(7, 1, house.said).pop().unwrap().why;
+        assert!(why.is_some_and(|why| why.contains("nobody is there")), "{text}");
+    }
 }
 
 #[test]
