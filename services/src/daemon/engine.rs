@@ -404,12 +404,10 @@ impl<M: LanguageModel> Engine<M> {
 
     /// Updates the forecasts with the new events, and each person's forecast with their newest scores.
     fn watch(&mut self) {
+        self.update();
         if !self.is_scored() {
-            // The forecasts are for the previous map. New events wait for the first scores of the changed one.
             return;
         }
-        self.follow();
-        self.belief.expect(&self.scoring.pipeline);
         while let Some(person) = self.home.next_rescored() {
             let Some(own) = self.scoring.pipeline.inside().person(person).filter(|own| own.at_home) else { continue };
             let Some(known) = self.attribution.persons.get(person) else { continue };
@@ -417,6 +415,16 @@ impl<M: LanguageModel> Engine<M> {
             let rooms = expected.unwrap_or(&own.grounded.partition_probability);
             self.home.look_ahead(person, known.heard_ns, (own.label_log_prob_nats, own.trust), rooms);
         }
+    }
+
+    /// The same without the habits' forecasts of the next thing and room, which no message has.
+    fn update(&mut self) {
+        if !self.is_scored() {
+            // The forecasts are for the previous map. New events wait for the first scores of the changed one.
+            return;
+        }
+        self.follow();
+        self.belief.expect(&self.scoring.pipeline);
     }
 
     /// Starts the joint filter with the belief of the forecasters.
@@ -562,7 +570,7 @@ impl<M: LanguageModel> Engine<M> {
     }
 
     fn look(&mut self, now_ns: BootNs) {
-        self.watch();
+        self.update();
         self.belief.track(now_ns);
     }
 

@@ -426,7 +426,6 @@ impl HomeHabits {
         self.model.extend(labels_nats.iter().map(|nats| (nats - most_nats).exp().powf(trust)));
         self.memory.habits.mix(person, at_s, &self.model);
         self.memory.habits.next_rooms(person, at_s, rooms);
-        self.state += 1;
     }
 
     pub(super) fn is_tick_due(&self, now_ns: BootNs) -> bool {

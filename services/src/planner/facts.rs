@@ -58,8 +58,9 @@ impl<'a> People<'a> {
     }
 
     fn at_home(&self) -> impl Iterator<Item = &'a PersonForecastV1> {
-        let here = |person: &&PersonForecastV1| person.presence == presence::PRESENT && self.out(person) <= OUTSIDE;
-        self.message.persons().iter().filter(here).collect::<Vec<_>>().into_iter()
+        let here =
+            move |person: &&PersonForecastV1| person.presence == presence::PRESENT && self.out(person) <= OUTSIDE;
+        self.message.persons().iter().filter(here)
     }
 
     fn out(&self, person: &PersonForecastV1) -> f64 {
@@ -114,6 +115,8 @@ impl<'a> Known<'a> {
         let count = rooms.len();
         let persons = self.persons;
         let levels = (self.config.interrupt_at, self.config.resume_at);
+        // Only these rules need a look at the whole forecast.
+        let only_when = self.config.only_when;
         Facts {
             config: self.config,
             ids: rooms.iter().map(|room| room.id()).collect(),
@@ -124,8 +127,8 @@ impl<'a> Known<'a> {
             sleepers: persons.map_or_else(Vec::new, |persons| self.sleepers(&persons)),
             at_home: persons.map_or_else(Vec::new, |persons| persons.at_home().map(name_of).collect()),
             missing: Vec::new(),
-            house_empty: self.house_empty(),
-            room_free: (0..count).map(|room| self.room_free(room)).collect(),
+            house_empty: only_when.map_or((0.0, 0.0), |_| self.house_empty()),
+            room_free: only_when.map_or_else(Vec::new, |_| (0..count).map(|room| self.room_free(room)).collect()),
             staying: (0..count).map(|room| persons?.staying(room, levels)).collect(),
         }
     }

@@ -340,7 +340,7 @@ impl Planner {
     /// As [`Planner::take`].
     pub fn take_persons(&mut self, forecasts: &PersonForecastsV1, now_ns: BootNs) -> Result<(), DatedAhead> {
         DatedAhead::refuse(BootNs(forecasts.published_ns.max(forecasts.computed_ns)), now_ns)?;
-        self.persons = Some(Box::new(*forecasts));
+        **self.persons.get_or_insert_default() = *forecasts;
         Ok(())
     }
 

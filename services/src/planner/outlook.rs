@@ -52,8 +52,8 @@ impl<'a> Forecast<'a> {
 
     /// The probability of a person in a room in so many seconds.
     pub(super) fn likely(&self, room: usize, ahead_s: f64) -> f64 {
-        let curve = self.message.room(room);
-        curve.map_or(0.0, |(_, row)| probability_at(&self.message.horizon_s, row, self.age_s + ahead_s))
+        let row = self.message.probability.get(room);
+        row.map_or(0.0, |row| probability_at(self.message.horizons_s(), row, self.age_s + ahead_s))
     }
 
     pub(super) fn now(&self) -> Vec<f64> {
