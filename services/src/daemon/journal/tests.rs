@@ -312,9 +312,16 @@ fn a_reader_that_stays_is_named_when_a_person_is_forgotten() {
     assert!(error.contains("another program reads the database"), "{error}");
     own.sync().unwrap();
     assert!(own.is_behind() && text_of(directory.path()).contains("ada"));
+    // The daemon remembers it over a restart.
+    drop(own);
     drop(query);
+    let (mut own, _) = writer(directory.path(), 1 << 20);
+    own.write([event(&observation(2))]).unwrap();
+    assert!(own.is_behind());
     own.sync().unwrap();
     assert!(!own.is_behind());
+    drop(own);
+    assert!(!writer(directory.path(), 1 << 20).0.is_behind());
     assert!(!text_of(directory.path()).contains("ada"));
 }
 
@@ -487,6 +494,27 @@ fn a_foreign_database_is_set_aside() {
     assert!(aside(directory.path()).is_some() && recovered.observations.is_empty());
 }
 
+/// A name of an earlier version was changed since.
+#[test]
+fn old_files_do_not_come_back_after_the_database_is_lost() {
+    let directory = tempfile::tempdir().unwrap();
+    let names = r#"[{"number": 3, "name": "Eve", "resident": null, "former": []}]"#;
+    fs::write(directory.path().join("persons.json"), names).unwrap();
+    let open = || {
+        let opened = Database::open(&directory.path().join(FILE), SCHEMA).unwrap();
+        Writer::open(opened, Some(directory.path().to_owned()), 1 << 20, &BOOT).unwrap()
+    };
+    let (mut own, recovered) = open();
+    own.write_persons(vec![recovered.persons[0].renamed("Maria")]).unwrap();
+    drop(own);
+    fs::write(directory.path().join(FILE), "no database").unwrap();
+    fs::remove_file(directory.path().join("roomcast.db-wal")).unwrap();
+    for _ in 0..2 {
+        assert_eq!(open().1.persons, []);
+    }
+    assert!(aside(directory.path()).is_some());
+}
+
 #[test]
 fn a_database_that_another_user_could_have_planted_is_refused() {
     use std::os::unix::fs::{PermissionsExt, symlink};
@@ -633,6 +661,7 @@ fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
     let damaged = own.recover().unwrap().habits.unwrap().memory(options);
     assert!(damaged.unwrap_err().contains("checksum"));
     drop(other);
+    fs::write(directory.path().join("roomcast.db.damaged-2"), "secret-room").unwrap();
     own.write_habits(&Memory::new(options)).unwrap();
     own.forget_habits().unwrap();
     assert!(!text_of(directory.path()).contains("secret-room"));
