@@ -47,6 +47,7 @@ pub const SCHEMA: Schema = Schema {
         include_str!("journal/schema.sql"),
         include_str!("journal/departures.sql"),
         include_str!("journal/names.sql"),
+        include_str!("journal/views.sql"),
     ],
 };
 /// Records that may wait for the disk before the sender does.

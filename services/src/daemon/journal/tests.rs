@@ -6,7 +6,8 @@ use roomcast_core::forecast::PACES;
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, Sentence, person_number};
 use roomcast_database::Connection;
-use roomcast_database::rusqlite;
+use roomcast_database::rusqlite::types::Value;
+use roomcast_database::rusqlite::{self, Row};
 use roomcast_ipc::Sender as Port;
 
 use super::notes::text_of;
@@ -667,29 +668,60 @@ fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
     assert!(!text_of(directory.path()).contains("secret-room"));
 }
 
-/// The page of the database shows queries that work.
+/// A name in two spellings, a text without a name, a sensor, and an event that was attributed to a person.
 #[test]
-fn the_queries_of_the_manual_find_rows() {
+fn the_queries_of_the_manual_find_each_person_once() {
     let directory = tempfile::tempdir().unwrap();
     let (mut own, _) = writer(directory.path(), 1 << 20);
     let yesterday = UnixNs(crate::clock::unix_ns().0 - 86_400_000_000_000);
-    let said = |sequence: u64, event: Event| Observation {
-        name: Some("ada".into()),
-        observed_unix_ns: yesterday,
-        event,
-        ..observation(sequence)
+    let said = |sequence: u64, name: &str, said: &str| {
+        let event = Event::presence(said).unwrap_or_else(|_| Event::Did(Sentence::new(said).unwrap()));
+        let name = Some(name).filter(|name| !name.is_empty()).map(Into::into);
+        let unnamed = Observation { name, person: PersonId::SOMEBODY, ..observation(sequence) };
+        Observation { observed_unix_ns: yesterday, event, ..unnamed }
     };
-    let presences = ["present in the kitchen", "away", "present"].map(|text| Event::presence(text).unwrap());
-    own.write((1..).zip(presences).map(|(sequence, presence)| event(&said(sequence, presence)))).unwrap();
+    let events = [
+        said(1, "ada", "present in the kitchen"),
+        said(2, "Ada", "away"),
+        said(3, "ada", "present"),
+        said(4, "", "Ada walks to the bathroom."),
+        said(5, "ben", "present in the bathroom"),
+        said(6, "", SENSOR),
+        said(7, "", "He opens the kitchen cupboard."),
+    ];
+    own.write(events.iter().map(event)).unwrap();
+    let ben = person_number("ben");
+    own.write([Record::Found { of: events[5].id(), person: ben }]).unwrap();
+    for (of, person, name) in [(3, person_number("ada"), Some("Ada")), (6, ben, None)] {
+        let moves = vec![Move { person, name: name.map(Into::into), by_fit: name.is_none(), event: None }];
+        own.write([Record::Moved(Moved { observation: events[of].id(), moves })]).unwrap();
+    }
     drop(own);
     let database = Connection::open(directory.path().join(FILE)).unwrap();
     let manual = include_str!("../../../../docs/database.md");
-    let queries: Vec<_> = manual.split("\n\n").filter(|part| part.starts_with("    SELECT")).collect();
-    assert_eq!(queries.len(), 5);
-    for query in queries {
+    let rows = |query: &str| {
         let mut statement = database.prepare(query.trim().trim_end_matches(';')).unwrap();
-        assert!(statement.exists([]).unwrap(), "{query}");
-    }
+        let columns = statement.column_count();
+        let shown = |value: Value| match value {
+            Value::Text(text) => text,
+            Value::Integer(number) => number.to_string(),
+            _ => String::new(),
+        };
+        let row = |row: &Row<'_>| (0..columns).map(|at| row.get(at).map(shown)).collect();
+        statement.query_map([], row).unwrap().collect::<Result<Vec<Vec<_>>, _>>().unwrap()
+    };
+    let queries = manual.split("\n\n").filter(|part| part.starts_with("    SELECT"));
+    let answers: Vec<_> = queries.map(rows).collect();
+    let [newest, rooms, departures, kitchen, narrators] = &answers[..] else { panic!("{answers:?}") };
+    let persons: Vec<_> = newest.iter().map(|row| &*row[1]).collect();
+    assert_eq!(persons, ["ben", "ben", "ben", "Ada", "Ada", "Ada", "Ada"]);
+    let mut rooms: Vec<_> = rooms.iter().map(|row| (&*row[0], &*row[1], &*row[4])).collect();
+    rooms.sort_unstable();
+    let of_ben = ["bathroom", "hall", "kitchen"].map(|room| ("ben", room, "1"));
+    assert_eq!(rooms, [&[("Ada", "bathroom", "1"), ("Ada", "kitchen", "1")][..], &of_ben].concat());
+    assert_eq!(departures.iter().map(|row| &row[1..]).collect::<Vec<_>>(), [["Ada", "1"]]);
+    assert_eq!(kitchen.iter().map(|row| &row[1..]).collect::<Vec<_>>(), [["2", "2"]]);
+    assert_eq!(narrators.iter().map(|row| &row[1..]).collect::<Vec<_>>(), [["7", "7", ""]]);
 }
 
 /// A process of another user can have made the log.
