@@ -721,6 +721,11 @@ fn the_queries_of_the_manual_find_each_person_once() {
     assert_eq!(rooms, [&[("Ada", "bathroom", "1"), ("Ada", "kitchen", "1")][..], &of_ben].concat());
     assert_eq!(departures.iter().map(|row| &row[1..]).collect::<Vec<_>>(), [["Ada", "1"]]);
     assert_eq!(kitchen.iter().map(|row| &row[1..]).collect::<Vec<_>>(), [["2", "2"]]);
+    let rooms =
+        |own: &PersonDay| (own.person.clone(), own.rooms.iter().map(|(room, _)| room.clone()).collect::<Vec<_>>());
+    let week: Vec<_> = week(directory.path()).unwrap().iter().map(rooms).collect();
+    let of = |person: &str, rooms: &[&str]| (person.to_owned(), rooms.iter().map(|room| (*room).to_owned()).collect());
+    assert_eq!(week, [of("Ada", &["bathroom", "kitchen"]), of("ben", &["bathroom", "hall", "kitchen"])]);
     assert_eq!(narrators.iter().map(|row| &row[1..]).collect::<Vec<_>>(), [["7", "7", ""]]);
 }
 
