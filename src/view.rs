@@ -4,6 +4,7 @@
 //! of the machine need the key of this start. The page may load nothing from other hosts. Data reaches the page as JSON, never as markup.
 
 use std::net::SocketAddr;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -13,6 +14,7 @@ use roomcast_ipc::raw::{
     DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1, RoomScoresV1,
 };
 use roomcast_ipc::{Domain, IpcError, ItemScores, ItemScoresSubscriber, Node, Subscriber, clock, question, sequence};
+use roomcast_services::daemon::{PersonDay, week};
 use roomcast_services::moment::Moment;
 use roomcast_services::recording::{Recorded, Recording};
 use roomcast_services::stop::Stop;
@@ -38,6 +40,8 @@ const POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; c
 /// Things' scores cost the daemon a little. The view stops asking for them this long after the last request of the page.
 const LOOKED: Duration = Duration::from_secs(5);
 const TICK: Duration = Duration::from_millis(200);
+/// Interval between two looks into the state database.
+const WEEK_EACH: Duration = Duration::from_secs(60);
 /// Timeout of the daemon's map, and the pause before the next question.
 const PATIENCE: Duration = Duration::from_secs(2);
 
@@ -75,8 +79,8 @@ impl Place {
     }
 }
 
-/// Serves the page of the running system until asked to stop. Among several robots it shows the configured one, `robot`. `ready` gets the address,
-/// with the port that was chosen for port 0.
+/// Serves the page of the running system until asked to stop. Among several robots it shows the configured one, `robot`. The last week is from the
+/// database in the `state` directory. `ready` gets the address, with the port that was chosen for port 0.
 ///
 /// # Errors
 /// [`ViewError`] for an address that is not loopback or is taken, and if a service is lost.
@@ -84,6 +88,7 @@ pub fn run(
     place: &Place,
     domain: &Domain,
     robot: &str,
+    state: Option<&Path>,
     stop: &Stop,
     ready: impl FnOnce(SocketAddr),
 ) -> Result<(), ViewError> {
@@ -102,7 +107,7 @@ pub fn run(
         answer(request, key.as_deref(), &mut *live)
     })?;
     ready(server.address());
-    let (mut things, mut asked) = (Things::default(), None::<Instant>);
+    let (mut things, mut asked, mut week_read) = (Things::default(), None::<Instant>, None::<Instant>);
     while !stop.requested() {
         ports.scores.wait(TICK)?;
         let mut live = shared.lock().unwrap_or_else(PoisonError::into_inner);
@@ -128,6 +133,14 @@ pub fn run(
             && let Some(told) = reasons.refresh(persons.into_iter())
         {
             shared.lock().unwrap_or_else(PoisonError::into_inner).picture.reasons.clone_from(told);
+        }
+        if let Some(state) = state.filter(|_| is_looked_at)
+            && week_read.is_none_or(|read| read.elapsed() >= WEEK_EACH)
+        {
+            week_read = Some(Instant::now());
+            // The daemon may not have made it yet, or this user may not read it.
+            let days = week(state).inspect_err(|error| tracing::debug!(%error, "the state database cannot be read"));
+            shared.lock().unwrap_or_else(PoisonError::into_inner).week = days.unwrap_or_default();
         }
         if is_new && asked.is_none_or(|asked| asked.elapsed() >= PATIENCE) {
             asked = Some(Instant::now());
@@ -254,6 +267,10 @@ trait Shown {
     fn state(&mut self, at_s: Option<f64>) -> Value;
     /// The plan of the map in use.
     fn plan(&mut self) -> Option<Value>;
+    /// The rooms of the last seven days.
+    fn week(&self) -> &[PersonDay] {
+        &[]
+    }
     /// Takes a person's order for the robot.
     ///
     /// # Errors
@@ -265,7 +282,7 @@ trait Shown {
 }
 
 fn answer(request: Request<'_>, key: Option<&str>, shown: &mut impl Shown) -> Response<String> {
-    let is_data = ["/state", "/plan", "/order"].contains(&request.uri.path());
+    let is_data = ["/state", "/plan", "/week", "/order"].contains(&request.uri.path());
     let given = request.headers.get(KEY).map(HeaderValue::as_bytes).unwrap_or_default();
     if is_data && key.is_some_and(|key| !is_same(key.as_bytes(), given)) {
         return refusal(
@@ -297,6 +314,7 @@ fn answer(request: Request<'_>, key: Option<&str>, shown: &mut impl Shown) -> Re
             Some(plan) => ("application/json", plan.to_string()),
             None => return refusal(StatusCode::NOT_FOUND, "the daemon has not told its map yet"),
         },
+        "/week" => ("application/json", json!(shown.week()).to_string()),
         "/favicon.ico" => return refusal(StatusCode::NOT_FOUND, "no picture"),
         _ => return refusal(StatusCode::NOT_FOUND, "see /"),
     };
@@ -327,6 +345,7 @@ struct Live {
     plan: Option<Plan>,
     /// When the page last asked.
     looked: Option<Instant>,
+    week: Vec<PersonDay>,
 }
 
 impl Live {
@@ -352,6 +371,10 @@ impl Shown for Live {
 
     fn plan(&mut self) -> Option<Value> {
         self.plan.as_ref().map(|plan| plan.drawing.clone())
+    }
+
+    fn week(&self) -> &[PersonDay] {
+        &self.week
     }
 
     fn order(&mut self, kind: &str, room: Option<(&str, &str)>, for_s: Option<&str>) -> Result<(), String> {
@@ -437,10 +460,14 @@ mod tests {
     use super::*;
     use crate::eventually::eventually;
     use roomcast_core::grounding::GroundingOptions;
+    use roomcast_core::ids::UnixNs;
+    use roomcast_core::narration::{Event, Observation};
     use roomcast_core::semantic_map::SemanticMap;
     use roomcast_ipc::raw::{action, narration_kind};
     use roomcast_ipc::text;
+    use roomcast_services::daemon::Journal;
     use std::io::{Read, Write};
+    use std::path::PathBuf;
 
     const HOSTILE: &str = "<img src=x onerror=alert(1)>";
 
@@ -726,11 +753,18 @@ mod tests {
     }
 
     fn viewed(domain: &Domain) -> (SocketAddr, Stop, std::thread::JoinHandle<Result<(), ViewError>>) {
+        viewed_with(domain, None)
+    }
+
+    fn viewed_with(
+        domain: &Domain,
+        state: Option<PathBuf>,
+    ) -> (SocketAddr, Stop, std::thread::JoinHandle<Result<(), ViewError>>) {
         let (stop, (found, address)) = (Stop::new(), std::sync::mpsc::channel());
         let (own_stop, own_domain) = (stop.clone(), domain.clone());
         let any = Place { key: Some("k3y".to_owned()), ..Place::with_key("127.0.0.1:0".parse().unwrap()) };
         let thread = std::thread::spawn(move || {
-            run(&any, &own_domain, "robot", &own_stop, |address| found.send(address).unwrap())
+            run(&any, &own_domain, "robot", state.as_deref(), &own_stop, |address| found.send(address).unwrap())
         });
         (address.recv_timeout(Duration::from_secs(60)).unwrap(), stop, thread)
     }
@@ -815,6 +849,27 @@ mod tests {
     }
 
     #[test]
+    fn the_page_has_the_last_week_of_the_state_database() {
+        let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let state = folder.path().join("state");
+        let (journal, _) = Journal::open(&state, 1 << 20, Duration::from_secs(1)).unwrap();
+        let (name, observed_unix_ns) = (Some("Ada".into()), UnixNs(clock::unix_ns()));
+        let there = Observation::saying(1, Event::presence("present in the kitchen").unwrap());
+        let number = journal.handle.append(&Observation { name, observed_unix_ns, ..there });
+        assert!(journal.handle.wait_for(number, Duration::from_secs(60)));
+        let domain = Domain::new(folder.path().join("d"), &format!("week-{}", std::process::id())).unwrap();
+        let (address, stop, thread) = viewed_with(&domain, Some(state));
+        eventually("the page has Ada's rooms", || {
+            got(address, "/state", "localhost", "k3y");
+            let week = got(address, "/week", "localhost", "k3y");
+            week.contains(r#""person":"Ada","rooms":[["kitchen",1]]"#).then_some(())
+        });
+        stop.request();
+        assert!(matches!(thread.join(), Ok(Ok(()))));
+        let _left = domain.clean_up();
+    }
+
+    #[test]
     fn the_page_is_served_with_its_policy_to_this_machine_alone() {
         let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
         let domain = Domain::new(folder.path().join("d"), &format!("view-{}", std::process::id())).unwrap();
@@ -835,7 +890,9 @@ mod tests {
         }
         for key in ["", "k3x", "k3", "k3yy"] {
             assert!(get_with("/state", "localhost", key).starts_with("HTTP/1.1 403"), "{key:?}");
-            assert!(get_with("/plan", "localhost", key).starts_with("HTTP/1.1 403"), "{key:?}");
+            for path in ["/plan", "/week"] {
+                assert!(get_with(path, "localhost", key).starts_with("HTTP/1.1 403"), "{key:?}");
+            }
         }
         stop.request();
         assert!(matches!(thread.join(), Ok(Ok(()))));

@@ -33,6 +33,12 @@ pub struct Schema {
     pub migrations: &'static [&'static str],
 }
 
+impl Schema {
+    fn version(&self) -> i64 {
+        self.migrations.len() as i64
+    }
+}
+
 /// A database that cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -46,9 +52,15 @@ pub enum DatabaseError {
     /// Another process has it.
     #[error("database {}: another process uses it; stop that process, or give this one another directory", .0.display())]
     Locked(PathBuf),
+    /// A newer version of the program has written it: its schema, and the newest one that is known here.
+    #[error(
+        "database {}: a newer version of Roomcast has written it (schema {}; this one knows {}); start that version, or move the file away with its -wal file",
+        .0.display(), .1, .2
+    )]
+    Newer(PathBuf, i64, i64),
     /// SQLite reports an error.
-    #[error("database {}: {}; check the disk and its space", .0.display(), .1)]
-    Sqlite(PathBuf, #[source] rusqlite::Error),
+    #[error("database {}: {}; check the disk and its space", .0.display(), reason(.1))]
+    Sqlite(PathBuf, rusqlite::Error),
 }
 
 /// The place of a database.
@@ -67,6 +79,15 @@ pub struct Simulation {
     pub vfs: &'static str,
     /// Removes a damaged database.
     pub set_aside: fn(),
+}
+
+/// The tables of a damaged database.
+#[derive(Debug, Default)]
+struct Salvaged {
+    /// Each with the number of rows that were copied.
+    rows: Vec<String>,
+    /// Those with rows that could not be read.
+    incomplete: Vec<String>,
 }
 
 /// A database of this process.
@@ -116,15 +137,19 @@ impl Database {
     pub fn reopen(&mut self) -> Result<(), DatabaseError> {
         self.connection = None;
         // A single read may be wrong, so the second attempt decides. SQLite opens a newer file format read-only, although this file is writable.
-        let connected = self.connect().or_else(|error| match error.sqlite_error_code() {
-            Some(ErrorCode::ReadOnly) => Err(damaged(&error.to_string())),
-            _ if is_damage(&error) => self.connect(),
+        let connected = self.connect().or_else(|error| match &error {
+            DatabaseError::Sqlite(path, source)
+                if source.sqlite_error_code() == Some(ErrorCode::ReadOnly) && self.is_writable() =>
+            {
+                Err(DatabaseError::Sqlite(path.clone(), damaged(&source.to_string())))
+            }
+            DatabaseError::Sqlite(_, source) if is_damage(source) => self.connect(),
             _ => Err(error),
         });
         match connected {
             Ok(connection) => self.connection = Some(connection),
-            Err(error) if is_damage(&error) => self.start_anew(&error)?,
-            Err(source) => return Err(DatabaseError::Sqlite(self.path.clone(), source)),
+            Err(DatabaseError::Sqlite(_, error)) if is_damage(&error) => self.start_anew(&error)?,
+            Err(error) => return Err(error),
         }
         Ok(())
     }
@@ -135,54 +160,63 @@ impl Database {
     /// [`DatabaseError`].
     pub fn start_anew(&mut self, damage: &rusqlite::Error) -> Result<(), DatabaseError> {
         self.connection = None;
-        let aside = self.set_aside()?;
-        let connection = self.connect().map_err(|source| DatabaseError::Sqlite(self.path.clone(), source))?;
-        self.connection = Some(connection);
-        let rows = self.salvage(&aside).unwrap_or_default();
+        let aside = self.move_aside()?;
+        self.connection = Some(self.connect()?);
+        let salvaged = self.salvage(&aside).unwrap_or_default();
+        let [rows, incomplete] = [salvaged.rows, salvaged.incomplete].map(|tables| tables.join(", "));
         tracing::error!(
-            path = %aside.display(), reason = %damage, rows,
-            "a damaged database was set aside, and a new one has the rows that could be read; is the disk failing?"
+            path = %aside.display(), reason = %damage, rows, incomplete,
+            "a damaged database was set aside, and a new one has the rows that could be read, which are not all of the incomplete tables; is the disk failing?"
         );
         Ok(())
     }
 
     /// Copies the rows of a damaged database of the same version, from both ends of each table as far as they can be read.
-    fn salvage(&mut self, path: &Path) -> rusqlite::Result<usize> {
+    fn salvage(&mut self, path: &Path) -> rusqlite::Result<Salvaged> {
         let damaged =
             Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX)?;
         damaged.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
-        if version(&damaged)? != version(self.connection()?)? {
-            return Ok(0);
+        // Otherwise SQLite refuses all pages of a file that lacks its last one.
+        damaged.pragma_update(None, "writable_schema", true)?;
+        let (application, version) = version(&damaged)?;
+        let known = self.schema.version();
+        if application != self.schema.application || ![Some(version), noted_version(&damaged)].contains(&Some(known)) {
+            return Ok(Salvaged::default());
         }
         self.write(|transaction| {
             // In this order a table follows the tables that it references.
             let mut query =
                 transaction.prepare("SELECT name FROM sqlite_schema WHERE type = 'table' ORDER BY rowid")?;
             let tables: Vec<String> = query.query_map([], |row| row.get(0))?.collect::<rusqlite::Result<_>>()?;
-            let mut copied = 0;
-            for (table, order) in tables.iter().flat_map(|table| [(table, "ASC"), (table, "DESC")]) {
-                let Ok(mut rows) = damaged.prepare(&format!("SELECT * FROM {table} ORDER BY 1 {order}")) else {
-                    continue;
-                };
-                let columns = rows.column_count();
-                let marks = vec!["?"; columns].join(", ");
-                let mut insert = transaction.prepare(&format!("INSERT OR IGNORE INTO {table} VALUES ({marks})"))?;
-                let Ok(mut rows) = rows.query([]) else { continue };
-                while let Ok(Some(row)) = rows.next() {
-                    let values = (0..columns).map(|at| row.get::<_, Value>(at)).collect::<rusqlite::Result<Vec<_>>>();
-                    copied += values.and_then(|values| insert.execute(params_from_iter(values))).unwrap_or_default();
+            let mut salvaged = Salvaged::default();
+            for table in tables {
+                let mut copied = 0;
+                let is_whole =
+                    ["ASC", "DESC"].iter().any(|order| copy(&damaged, transaction, &table, order, &mut copied).is_ok());
+                salvaged.rows.push(format!("{table} {copied}"));
+                if !is_whole {
+                    salvaged.incomplete.push(table);
                 }
             }
-            Ok(copied)
+            Ok(salvaged)
         })
     }
 
-    fn connect(&self) -> rusqlite::Result<Connection> {
+    fn connect(&self) -> Result<Connection, DatabaseError> {
+        let failed = |source| DatabaseError::Sqlite(self.path.clone(), source);
+        let mut connection = self.connect_checked().map_err(failed)?;
+        match self.migrate(&mut connection).map_err(failed)? {
+            Some(newer) => Err(DatabaseError::Newer(self.path.clone(), newer, self.schema.version())),
+            None => Ok(connection),
+        }
+    }
+
+    fn connect_checked(&self) -> rusqlite::Result<Connection> {
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
             | OpenFlags::SQLITE_OPEN_CREATE
             | OpenFlags::SQLITE_OPEN_NO_MUTEX
             | OpenFlags::SQLITE_OPEN_NOFOLLOW;
-        let mut connection = match &self.place {
+        let connection = match &self.place {
             Place::File(_) => {
                 // SQLite gives its files the mode of this one. If it cannot be made, SQLite says why.
                 let _made = own_file(&self.path);
@@ -208,57 +242,80 @@ impl Database {
         if check != "ok" {
             return Err(damaged(&check));
         }
-        self.migrate(&mut connection)?;
         Ok(connection)
     }
 
-    fn migrate(&self, connection: &mut Connection) -> rusqlite::Result<()> {
-        let Schema { application, migrations } = self.schema;
+    /// Brings the schema to the known version. Gives the version of a newer one, which stays as it is.
+    fn migrate(&self, connection: &mut Connection) -> rusqlite::Result<Option<i64>> {
+        let (Schema { application, migrations }, known) = (self.schema, self.schema.version());
         let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
         let (found, version) = version(&transaction)?;
         if ![(0, 0), (application, version)].contains(&(found, version)) {
             return Err(damaged("it is a database of another program"));
         }
-        let done = usize::try_from(version).unwrap_or(usize::MAX);
-        let Some(todo) = migrations.get(done..) else {
-            return Err(damaged(&format!("a newer version of Roomcast has written it (schema {version})")));
-        };
-        if todo.is_empty() {
-            return Ok(());
+        // The version has a copy in a row: a flipped bit changes one of both.
+        let noted = noted_version(&transaction);
+        if (version, noted) == (known, Some(known)) {
+            return Ok(None);
         }
+        if version > known && noted != Some(known) {
+            return Ok(Some(version));
+        }
+        let done = usize::try_from(if noted == Some(known) { known } else { version }).unwrap_or(usize::MAX);
+        let Some(todo) = migrations.get(done..) else { return Err(damaged("its version is none")) };
         transaction.execute_batch(
             "CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value ANY NOT NULL) WITHOUT ROWID, STRICT",
         )?;
         for statements in todo {
             transaction.execute_batch(statements)?;
         }
+        transaction.execute("INSERT OR REPLACE INTO meta VALUES ('schema', ?1)", [known])?;
         transaction.pragma_update(None, "application_id", application)?;
-        transaction.pragma_update(None, "user_version", migrations.len() as i64)?;
-        transaction.commit()
+        transaction.pragma_update(None, "user_version", known)?;
+        transaction.commit().map(|()| None)
     }
 
     /// Renames a damaged database, in the same folder.
-    fn set_aside(&mut self) -> Result<PathBuf, DatabaseError> {
+    fn move_aside(&mut self) -> Result<PathBuf, DatabaseError> {
         if let Place::Simulated(disk) = &self.place {
             (disk.set_aside)();
             return Ok(self.path.clone());
         }
-        let (mut number, mut aside) = (1, with_suffix(&self.path, ".damaged-1"));
-        while number < ASIDE_MAX && aside.exists() {
-            number += 1;
-            aside = with_suffix(&self.path, &format!(".damaged-{number}"));
-        }
+        let aside = (1..ASIDE_MAX).map(|number| self.aside(number)).find(|aside| !aside.exists());
+        let aside = aside.unwrap_or_else(|| self.aside(ASIDE_MAX));
+        let mut renamed = Vec::new();
+        // SQLite would read the log of another database.
         for suffix in ["-wal", "-shm", ""] {
             let (from, to) = (with_suffix(&self.path, suffix), with_suffix(&aside, suffix));
             match fs::rename(&from, &to) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                Ok(()) => renamed.push((from, to)),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                Err(error) => {
+                    renamed.into_iter().for_each(|(from, to)| _ = fs::rename(to, from));
                     return Err(failed(&from, "set aside")(error));
                 }
-                _ => {}
             }
         }
         self.place = Place::File(lock(&self.path)?);
         Ok(aside)
+    }
+
+    fn aside(&self, number: usize) -> PathBuf {
+        with_suffix(&self.path, &format!(".damaged-{number}"))
+    }
+
+    /// The databases that were set aside.
+    pub fn set_aside(&self) -> impl Iterator<Item = PathBuf> {
+        (1..=ASIDE_MAX).map(|number| self.aside(number)).filter(|aside| aside.exists())
+    }
+
+    /// Whether this process may write its files.
+    fn is_writable(&self) -> bool {
+        let may_write = |suffix: &str| {
+            let opened = OpenOptions::new().append(true).open(with_suffix(&self.path, suffix));
+            opened.map_or_else(|error| error.kind() == io::ErrorKind::NotFound, |_| true)
+        };
+        matches!(self.place, Place::Simulated(_)) || ["", "-wal", "-shm"].into_iter().all(may_write)
     }
 
     /// Removes the databases that were set aside.
@@ -268,7 +325,7 @@ impl Database {
     pub fn remove_set_aside(&self) -> io::Result<()> {
         for number in 1..=ASIDE_MAX {
             for suffix in ["", "-wal", "-shm"] {
-                match fs::remove_file(with_suffix(&self.path, &format!(".damaged-{number}{suffix}"))) {
+                match fs::remove_file(with_suffix(&self.aside(number), suffix)) {
                     Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
                     _ => {}
                 }
@@ -389,6 +446,26 @@ pub fn look(path: &Path) -> rusqlite::Result<Connection> {
     Ok(connection)
 }
 
+/// Copies the rows of a table into the table of the same name, until one cannot be read.
+///
+/// # Errors
+/// When a row cannot be read or written.
+fn copy(from: &Connection, to: &Transaction<'_>, table: &str, order: &str, copied: &mut usize) -> rusqlite::Result<()> {
+    let mut query = from.prepare(&format!("SELECT * FROM {table} ORDER BY 1 {order}"))?;
+    let columns = query.column_count();
+    let marks = vec!["?"; columns].join(", ");
+    let mut insert = to.prepare(&format!("INSERT OR IGNORE INTO {table} VALUES ({marks})"))?;
+    let (mut rows, mut all) = (query.query([])?, Ok(()));
+    while let Some(row) = rows.next()? {
+        let values = (0..columns).map(|at| row.get::<_, Value>(at)).collect::<rusqlite::Result<Vec<_>>>();
+        match values.and_then(|values| insert.execute(params_from_iter(values))) {
+            Ok(rows) => *copied += rows,
+            Err(error) => all = Err(error),
+        }
+    }
+    all
+}
+
 /// The work of a transaction that only syncs: one without a change writes nothing.
 ///
 /// # Errors
@@ -399,9 +476,14 @@ pub fn count_sync(transaction: &Transaction<'_>) -> rusqlite::Result<()> {
 }
 
 /// The program of a database, and the version of its schema.
-fn version(connection: &Connection) -> rusqlite::Result<(i32, i32)> {
-    let number = |name| connection.pragma_query_value(None, name, |row| row.get(0));
-    Ok((number("application_id")?, number("user_version")?))
+fn version(connection: &Connection) -> rusqlite::Result<(i32, i64)> {
+    let application = connection.pragma_query_value(None, "application_id", |row| row.get(0))?;
+    Ok((application, connection.pragma_query_value(None, "user_version", |row| row.get(0))?))
+}
+
+/// The copy of the version; `None` if the database has none that can be read.
+fn noted_version(connection: &Connection) -> Option<i64> {
+    connection.query_row("SELECT value FROM meta WHERE key = 'schema'", [], |row| row.get(0)).ok()
 }
 
 /// The content of a row; `None` if a column has a value that no sound row has.
@@ -442,6 +524,16 @@ pub fn is_damage(error: &rusqlite::Error) -> bool {
                 | ErrorCode::ReadOnly
                 | ErrorCode::SystemIoFailure
         )
+}
+
+/// The message of an error, with SQLite's own one if that says more.
+fn reason(error: &rusqlite::Error) -> String {
+    match error {
+        rusqlite::Error::SqliteFailure(code, Some(text)) if !code.to_string().ends_with(text.as_str()) => {
+            format!("{text} ({code})")
+        }
+        error => error.to_string(),
+    }
 }
 
 fn damaged(reason: &str) -> rusqlite::Error {

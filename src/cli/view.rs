@@ -43,7 +43,8 @@ pub fn run(args: &Args) -> CommandResult {
         }
         None => {
             let (config, domain) = args.service.load()?;
-            view::run(&place, &domain, &config.planner.robot, &stop, ready)
+            let state = config.daemon.state_directory();
+            view::run(&place, &domain, &config.planner.robot, state.as_deref(), &stop, ready)
         }
     };
     served.map_err(|error| {

@@ -3,6 +3,7 @@
 const SVG = "http://www.w3.org/2000/svg";
 const POLL_MS = 500;
 const RETRY_MS = 2000;
+const WEEK_MS = 10000;
 // Least height of names on the plan; in narrow rooms they shrink to the second.
 const NAME_PX = 11;
 const SMALL_PX = 7;
@@ -368,6 +369,26 @@ const showQuality = () => {
   box.replaceChildren(svg, html("span", text, "dim"));
 };
 
+const showWeek = (days) => {
+  const share = ([room, events], all) => `${room} ${percent(events / all)}`;
+  const rows = days.map((own) => {
+    const all = own.rooms.reduce((sum, [, events]) => sum + events, 0);
+    const rooms = own.rooms.map((room) => share(room, all)).join(", ");
+    const row = html("tr");
+    row.append(html("td", own.day), html("td", own.person), html("td", `${rooms} (${all} ${all === 1 ? "event" : "events"})`));
+    return row;
+  });
+  element("week").tBodies[0].replaceChildren(...rows);
+  for (const id of ["week", "week-note"]) element(id).hidden = !rows.length;
+};
+
+// The view reads the database once a minute, and not before the page is there.
+const askWeek = async () => {
+  if (state && state.live && !paused && !document.hidden) {
+    try { showWeek(await get("week")); } catch (error) { /* The state tells. */ }
+  }
+};
+
 const get = async (path, method = "GET") => {
   // The key of this start stands in the address, behind #.
   const headers = { "x-roomcast-key": location.hash.slice(1) };
@@ -472,5 +493,6 @@ addEventListener("resize", () => {
     show();
   }
 });
+setInterval(askWeek, WEEK_MS);
 document.addEventListener("visibilitychange", () => { if (!document.hidden) { playedAt = performance.now(); ask(); } });
 ask();

@@ -49,7 +49,7 @@ pub type SpoolError = DatabaseError;
 #[must_use]
 pub fn is_of_configuration(error: &SpoolError) -> bool {
     match error {
-        DatabaseError::Refused { .. } => true,
+        DatabaseError::Refused { .. } | DatabaseError::Newer { .. } => true,
         DatabaseError::File(_, _, source) => matches!(
             source.kind(),
             io::ErrorKind::NotFound
@@ -170,7 +170,8 @@ impl Spool {
             let path = path.clone();
             move |source| SpoolError::File(path, operation, source)
         };
-        if !path.exists() {
+        // A link, also one to a missing file, is refused below.
+        if fs::symlink_metadata(&path).is_err() {
             begin(&path, read_old(folder).map_err(failed("read the queue of an earlier version before"))?)?;
         }
         let mut database = Database::open(&path, SCHEMA)?;
@@ -697,9 +698,12 @@ mod tests {
             let error = Spool::open(path, 100).unwrap_err();
             assert!(is_of_configuration(&error), "{error}");
         }
-        std::os::unix::fs::symlink("/dev/zero", folder.path().join(FILE)).unwrap();
-        let error = Spool::open(folder.path(), 10).unwrap_err();
-        assert!(is_of_configuration(&error) && error.to_string().contains("symbolic link"), "{error}");
+        for target in ["/dev/zero", "missing"] {
+            std::os::unix::fs::symlink(target, folder.path().join(FILE)).unwrap();
+            let error = Spool::open(folder.path(), 10).unwrap_err();
+            assert!(is_of_configuration(&error) && error.to_string().contains("symbolic link"), "{error}");
+            fs::remove_file(folder.path().join(FILE)).unwrap();
+        }
     }
 
     #[test]

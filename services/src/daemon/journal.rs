@@ -25,6 +25,7 @@ pub use self::old::records as old_records;
 pub(super) use self::old::{habits as old_habits, persons as old_persons};
 pub use self::record::{Expectation, KeptPerson, Move, Moved, Outcome, Record};
 pub use self::recovered::Recovered;
+pub use self::week::{PersonDay, week};
 use self::writer::SyncDue;
 pub use self::writer::Writer;
 use super::habits::Memory;
@@ -36,6 +37,7 @@ mod old_habits;
 mod record;
 mod recovered;
 mod store;
+mod week;
 mod writer;
 
 /// The database in the state directory.
@@ -47,6 +49,7 @@ pub const SCHEMA: Schema = Schema {
         include_str!("journal/schema.sql"),
         include_str!("journal/departures.sql"),
         include_str!("journal/names.sql"),
+        include_str!("journal/views.sql"),
     ],
 };
 /// Records that may wait for the disk before the sender does.

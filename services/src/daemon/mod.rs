@@ -73,7 +73,7 @@ pub use engine::{Engine, EngineError, Entry, MapError};
 pub use habits::{HomeHabits, Memory};
 pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, VisitsLine};
 pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
-pub use journal::{HabitRows, Journal, JournalError, JournalHandle, KeptPerson, Recovered};
+pub use journal::{HabitRows, Journal, JournalError, JournalHandle, KeptPerson, PersonDay, Recovered, week};
 pub use map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 pub use person_question::{
     By, NoisySensor, PersonAnswer, PersonLine, PersonQuestion, PlaceLine, UNDERSTOOD_MAX, UnderstoodLine,

@@ -395,9 +395,9 @@ impl Persons {
         let own = || self.name_of(number).unwrap_or(name).to_owned();
         let new = || KeptPerson { number, name: own(), resident: None, former: Vec::new() };
         let former = self.file.of_number(number).cloned().unwrap_or_else(new);
-        self.file.set(number, Some(former.renamed(name))).map_err(|error| {
-            NotRenamed::Failed(format!("the persons file cannot be written: {error}; nothing was changed"))
-        })
+        self.file
+            .set(number, Some(former.renamed(name)))
+            .map_err(|error| NotRenamed::Failed(format!("the name cannot be stored: {error}; nothing was changed")))
     }
 
     /// The names that the home gave.

@@ -32,6 +32,7 @@ pub(super) fn checks(
 ) -> Vec<Finding> {
     let mut findings = vec![clock(config, place)];
     findings.extend(state(config, place));
+    findings.extend(damaged(config));
     if let Some((map, grounding)) = map {
         findings.push(things(config, map, grounding, place));
         findings.extend(rules_of_no_room(config, map, grounding, &place.shown()));
@@ -102,6 +103,19 @@ fn state(config: &Config, place: &Place<'_>) -> Option<Finding> {
         }
     };
     Some(finding)
+}
+
+/// Names the databases that were set aside because they were damaged.
+fn damaged(config: &Config) -> Option<Finding> {
+    let folder = config.daemon.state_directory()?;
+    let names = std::fs::read_dir(&folder).ok()?.filter_map(|file| file.ok()?.file_name().into_string().ok());
+    let is_log = |name: &String| name.ends_with("-wal") || name.ends_with("-shm");
+    let mut damaged: Vec<_> = names.filter(|name| name.contains(".db.damaged-") && !is_log(name)).collect();
+    damaged.sort_unstable();
+    let found =
+        format!("{} in {}, set aside because of damage", some_of(damaged.iter().map(String::as_str)), folder.display());
+    let remedy = "the log says what was lost; check the disk, then remove these files";
+    (!damaged.is_empty()).then(|| Finding::limited("state", found, remedy))
 }
 
 /// The free KiB on a folder's disk (or its nearest existing parent's), if they may not suffice for the daemon's state.
@@ -301,6 +315,21 @@ fn daemon(map: Option<&SemanticMap>, node: &roomcast_ipc::Node, file: &str) -> F
 mod tests {
     use super::super::finding::Verdict;
     use super::*;
+
+    #[test]
+    fn a_database_that_was_set_aside_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut config = Config::default();
+        config.daemon.state = Some(folder.path().to_owned());
+        assert!(damaged(&config).is_none());
+        let state = config.daemon.state_directory().unwrap();
+        std::fs::create_dir_all(&state).unwrap();
+        for name in ["roomcast.db", "roomcast.db.damaged-1", "roomcast.db.damaged-1-wal", "planner-7.db.damaged-1"] {
+            std::fs::write(state.join(name), "").unwrap();
+        }
+        let found = damaged(&config).unwrap().found;
+        assert!(found.starts_with("planner-7.db.damaged-1, roomcast.db.damaged-1 in "), "{found}");
+    }
 
     #[test]
     fn a_fast_clock_of_a_narrator_is_found_with_its_offset() {

@@ -1,4 +1,5 @@
-//! Habits as rows. A write changes the rows that differ from the last write, in one transaction with the events before it.
+//! Habits as rows. A write changes the rows that differ from the last write, in one transaction, every `habits.save_s`. A killed daemon learns the
+//! events since then again, from the rows that are left of them.
 
 use std::collections::BTreeMap;
 

@@ -241,6 +241,22 @@ pub(super) fn last_number(transaction: &Transaction<'_>) -> Result<i64> {
     )
 }
 
+/// A note until deleted data is erased from file and log.
+pub(super) const TO_ERASE: &str = "to_erase";
+
+/// Notes something for later starts.
+pub(super) fn note(transaction: &Transaction<'_>, key: &str) -> Result<()> {
+    transaction.execute("INSERT OR REPLACE INTO meta VALUES (?1, 1)", [key]).map(|_| ())
+}
+
+pub(super) fn has_note(transaction: &Transaction<'_>, key: &str) -> Result<bool> {
+    transaction.query_row("SELECT count(*) FROM meta WHERE key = ?1", [key], |row| row.get(0))
+}
+
+pub(super) fn remove_to_erase(transaction: &Transaction<'_>) -> Result<()> {
+    transaction.execute("DELETE FROM meta WHERE key = ?1", [TO_ERASE]).map(|_| ())
+}
+
 /// Drops the monotonic times of events from before the machine's last start.
 pub(super) fn begin_boot(transaction: &Transaction<'_>, boot_id: &[u8; 16]) -> Result<()> {
     let known: Option<Vec<u8>> =

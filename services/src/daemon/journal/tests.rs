@@ -6,6 +6,8 @@ use roomcast_core::forecast::PACES;
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, Sentence, person_number};
 use roomcast_database::Connection;
+use roomcast_database::rusqlite::types::Value;
+use roomcast_database::rusqlite::{self, Row};
 use roomcast_ipc::Sender as Port;
 
 use super::notes::text_of;
@@ -311,9 +313,16 @@ fn a_reader_that_stays_is_named_when_a_person_is_forgotten() {
     assert!(error.contains("another program reads the database"), "{error}");
     own.sync().unwrap();
     assert!(own.is_behind() && text_of(directory.path()).contains("ada"));
+    // The daemon remembers it over a restart.
+    drop(own);
     drop(query);
+    let (mut own, _) = writer(directory.path(), 1 << 20);
+    own.write([event(&observation(2))]).unwrap();
+    assert!(own.is_behind());
     own.sync().unwrap();
     assert!(!own.is_behind());
+    drop(own);
+    assert!(!writer(directory.path(), 1 << 20).0.is_behind());
     assert!(!text_of(directory.path()).contains("ada"));
 }
 
@@ -389,9 +398,11 @@ fn a_damaged_database_is_set_aside() {
         own.forget(PersonId(1), &|_, _| false).unwrap();
         fs::read(directory.path().join(FILE)).unwrap()
     };
-    let rounds = std::env::var("ROOMCAST_CORRUPTIONS").map_or(40, |rounds| rounds.parse().unwrap());
-    let (mut asides, mut saved) = (0, 0);
-    for round in 0..rounds {
+    let number = |name: &str, default| std::env::var(name).map_or(default, |number| number.parse().unwrap());
+    let rounds = number("ROOMCAST_CORRUPTIONS", 40);
+    let first = number("ROOMCAST_CORRUPTIONS_SEED", 0) * rounds;
+    let mut kinds = [(0, 0); 4];
+    for round in first..first + rounds {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join(FILE);
         let mut bytes = whole.clone();
@@ -407,8 +418,8 @@ fn a_damaged_database_is_set_aside() {
         let set_aside = aside(directory.path());
         if let Some(damaged) = &set_aside {
             assert_eq!(damaged.len(), bytes.len());
-            asides += 1;
-            saved += recovered.observations.len() as u64;
+            let (asides, saved) = &mut kinds[how as usize];
+            (*asides, *saved) = (*asides + 1, *saved + recovered.observations.len() as u64);
         }
         let lost = 300 - recovered.observations.len() as u64;
         assert!(set_aside.is_some() || lost <= recovered.damaged + u64::from(bytes.is_empty()) * 300, "{round}");
@@ -416,23 +427,93 @@ fn a_damaged_database_is_set_aside() {
         drop(journal);
         assert_eq!(look(directory.path()).unwrap().observations.last().unwrap().sequence, 1000, "{round}");
     }
-    println!("{rounds} corruptions: {asides} databases set aside, with {saved} of {} events saved", asides * 300);
-    assert!(asides > rounds / 4 && saved > asides * 100, "{asides}: {saved}");
+    println!("{rounds} corruptions of the database");
+    for ((asides, saved), kind) in kinds.iter().zip(["cut", "a bit", "zeros", "garbled"]) {
+        println!("{kind}: {asides} databases set aside, with {saved} of {} events saved", asides * 300);
+    }
+    let (asides, saved) = kinds.iter().fold((0, 0), |sum, kind| (sum.0 + kind.0, sum.1 + kind.1));
+    assert!(asides > rounds / 4 && saved > asides * 100, "{kinds:?}");
+    // A cut takes the rows of the pages behind it.
+    assert!(kinds[0].1 > kinds[0].0 * 60, "{kinds:?}");
 }
 
 #[test]
-fn a_newer_or_foreign_database_is_set_aside() {
-    for pragma in ["user_version = 99", "application_id = 1"] {
-        let directory = tempfile::tempdir().unwrap();
-        let (mut own, _) = writer(directory.path(), 1 << 20);
-        own.write([event(&observation(1))]).unwrap();
-        drop(own);
-        let other = Connection::open(directory.path().join(FILE)).unwrap();
-        other.execute_batch(&format!("PRAGMA {pragma}")).unwrap();
-        drop(other);
-        let (_, recovered) = writer(directory.path(), 1 << 20);
-        assert!(aside(directory.path()).is_some() && recovered.observations.is_empty());
+fn a_database_without_its_last_page_keeps_its_events() {
+    let directory = tempfile::tempdir().unwrap();
+    let (mut own, _) = writer(directory.path(), 1 << 20);
+    flood(&mut own, 0..300);
+    own.forget(PersonId(1), &|_, _| false).unwrap();
+    drop(own);
+    let file = fs::File::options().write(true).open(directory.path().join(FILE)).unwrap();
+    file.set_len(file.metadata().unwrap().len() - 2048).unwrap();
+    let (_, recovered) = writer(directory.path(), 1 << 20);
+    assert!(aside(directory.path()).is_some());
+    assert_eq!(recovered.observations.len(), 300);
+}
+
+/// Runs statements in a database that no process has.
+fn change(directory: &Path, statements: &str) {
+    Connection::open(directory.join(FILE)).unwrap().execute_batch(statements).unwrap();
+}
+
+#[test]
+fn a_newer_database_is_refused_and_stays_as_it_is() {
+    let directory = tempfile::tempdir().unwrap();
+    let (mut own, _) = writer(directory.path(), 1 << 20);
+    own.write([event(&observation(1))]).unwrap();
+    drop(own);
+    let newer = "PRAGMA user_version = 99; UPDATE meta SET value = 99 WHERE key = 'schema'";
+    change(directory.path(), newer);
+    let bytes = fs::read(directory.path().join(FILE)).unwrap();
+    for _ in 0..2 {
+        let error = open(directory.path()).unwrap_err();
+        assert!(
+            matches!(error, JournalError::Newer(..)) && error.to_string().contains("move the file away"),
+            "{error}"
+        );
+        assert!(aside(directory.path()).is_none());
+        assert_eq!(fs::read(directory.path().join(FILE)).unwrap(), bytes);
     }
+    // A flipped bit in one of both numbers is no newer version.
+    let known = SCHEMA.migrations.len();
+    for one in [format!("UPDATE meta SET value = {known} WHERE key = 'schema'"), "PRAGMA user_version = 1".to_owned()] {
+        change(directory.path(), &one);
+        let (_, recovered) = writer(directory.path(), 1 << 20);
+        assert!(aside(directory.path()).is_none());
+        assert_eq!(recovered.observations, [observation(1)]);
+    }
+}
+
+#[test]
+fn a_foreign_database_is_set_aside() {
+    let directory = tempfile::tempdir().unwrap();
+    let (mut own, _) = writer(directory.path(), 1 << 20);
+    own.write([event(&observation(1))]).unwrap();
+    drop(own);
+    change(directory.path(), "PRAGMA application_id = 1");
+    let (_, recovered) = writer(directory.path(), 1 << 20);
+    assert!(aside(directory.path()).is_some() && recovered.observations.is_empty());
+}
+
+/// A name of an earlier version was changed since.
+#[test]
+fn old_files_do_not_come_back_after_the_database_is_lost() {
+    let directory = tempfile::tempdir().unwrap();
+    let names = r#"[{"number": 3, "name": "Eve", "resident": null, "former": []}]"#;
+    fs::write(directory.path().join("persons.json"), names).unwrap();
+    let open = || {
+        let opened = Database::open(&directory.path().join(FILE), SCHEMA).unwrap();
+        Writer::open(opened, Some(directory.path().to_owned()), 1 << 20, &BOOT).unwrap()
+    };
+    let (mut own, recovered) = open();
+    own.write_persons(vec![recovered.persons[0].renamed("Maria")]).unwrap();
+    drop(own);
+    fs::write(directory.path().join(FILE), "no database").unwrap();
+    fs::remove_file(directory.path().join("roomcast.db-wal")).unwrap();
+    for _ in 0..2 {
+        assert_eq!(open().1.persons, []);
+    }
+    assert!(aside(directory.path()).is_some());
 }
 
 #[test]
@@ -520,13 +601,6 @@ fn the_old_journal_is_read_once() {
     }
 }
 
-proptest::proptest! {
-    #[test]
-    fn arbitrary_bytes_are_no_trap(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..2000)) {
-        let _read = old_records(&[bytes.clone(), [b"RCJ1".as_slice(), &bytes].concat()], &BOOT);
-    }
-}
-
 #[test]
 fn a_sync_waits_for_silence_and_not_longer_than_promised() {
     let start = Instant::now();
@@ -588,34 +662,116 @@ fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
     let damaged = own.recover().unwrap().habits.unwrap().memory(options);
     assert!(damaged.unwrap_err().contains("checksum"));
     drop(other);
+    fs::write(directory.path().join("roomcast.db.damaged-2"), "secret-room").unwrap();
     own.write_habits(&Memory::new(options)).unwrap();
     own.forget_habits().unwrap();
     assert!(!text_of(directory.path()).contains("secret-room"));
 }
 
-/// The page of the database shows queries that work.
+/// A name in two spellings, a text without a name, a sensor, and an event that was attributed to a person.
 #[test]
-fn the_queries_of_the_manual_find_rows() {
+fn the_queries_of_the_manual_find_each_person_once() {
     let directory = tempfile::tempdir().unwrap();
     let (mut own, _) = writer(directory.path(), 1 << 20);
     let yesterday = UnixNs(crate::clock::unix_ns().0 - 86_400_000_000_000);
-    let said = |sequence: u64, event: Event| Observation {
-        name: Some("ada".into()),
-        observed_unix_ns: yesterday,
-        event,
-        ..observation(sequence)
+    let said = |sequence: u64, name: &str, said: &str| {
+        let event = Event::presence(said).unwrap_or_else(|_| Event::Did(Sentence::new(said).unwrap()));
+        let name = Some(name).filter(|name| !name.is_empty()).map(Into::into);
+        let unnamed = Observation { name, person: PersonId::SOMEBODY, ..observation(sequence) };
+        Observation { observed_unix_ns: yesterday, event, ..unnamed }
     };
-    let presences = ["present in the kitchen", "away", "present"].map(|text| Event::presence(text).unwrap());
-    own.write((1..).zip(presences).map(|(sequence, presence)| event(&said(sequence, presence)))).unwrap();
+    let events = [
+        said(1, "ada", "present in the kitchen"),
+        said(2, "Ada", "away"),
+        said(3, "ada", "present"),
+        said(4, "", "Ada walks to the bathroom."),
+        said(5, "ben", "present in the bathroom"),
+        said(6, "", SENSOR),
+        said(7, "", "He opens the kitchen cupboard."),
+    ];
+    own.write(events.iter().map(event)).unwrap();
+    let ben = person_number("ben");
+    own.write([Record::Found { of: events[5].id(), person: ben }]).unwrap();
+    for (of, person, name) in [(3, person_number("ada"), Some("Ada")), (6, ben, None)] {
+        let moves = vec![Move { person, name: name.map(Into::into), by_fit: name.is_none(), event: None }];
+        own.write([Record::Moved(Moved { observation: events[of].id(), moves })]).unwrap();
+    }
     drop(own);
     let database = Connection::open(directory.path().join(FILE)).unwrap();
     let manual = include_str!("../../../../docs/database.md");
-    let queries: Vec<_> = manual.split("\n\n").filter(|part| part.starts_with("    SELECT")).collect();
-    assert_eq!(queries.len(), 5);
-    for query in queries {
+    let rows = |query: &str| {
         let mut statement = database.prepare(query.trim().trim_end_matches(';')).unwrap();
-        assert!(statement.exists([]).unwrap(), "{query}");
+        let columns = statement.column_count();
+        let shown = |value: Value| match value {
+            Value::Text(text) => text,
+            Value::Integer(number) => number.to_string(),
+            _ => String::new(),
+        };
+        let row = |row: &Row<'_>| (0..columns).map(|at| row.get(at).map(shown)).collect();
+        statement.query_map([], row).unwrap().collect::<Result<Vec<Vec<_>>, _>>().unwrap()
+    };
+    let queries = manual.split("\n\n").filter(|part| part.starts_with("    SELECT"));
+    let answers: Vec<_> = queries.map(rows).collect();
+    let [newest, rooms, departures, kitchen, narrators] = &answers[..] else { panic!("{answers:?}") };
+    let persons: Vec<_> = newest.iter().map(|row| &*row[1]).collect();
+    assert_eq!(persons, ["ben", "ben", "ben", "Ada", "Ada", "Ada", "Ada"]);
+    let mut rooms: Vec<_> = rooms.iter().map(|row| (&*row[0], &*row[1], &*row[4])).collect();
+    rooms.sort_unstable();
+    let of_ben = ["bathroom", "hall", "kitchen"].map(|room| ("ben", room, "1"));
+    assert_eq!(rooms, [&[("Ada", "bathroom", "1"), ("Ada", "kitchen", "1")][..], &of_ben].concat());
+    assert_eq!(departures.iter().map(|row| &row[1..]).collect::<Vec<_>>(), [["Ada", "1"]]);
+    assert_eq!(kitchen.iter().map(|row| &row[1..]).collect::<Vec<_>>(), [["2", "2"]]);
+    let rooms =
+        |own: &PersonDay| (own.person.clone(), own.rooms.iter().map(|(room, _)| room.clone()).collect::<Vec<_>>());
+    let week: Vec<_> = week(directory.path()).unwrap().iter().map(rooms).collect();
+    let of = |person: &str, rooms: &[&str]| (person.to_owned(), rooms.iter().map(|room| (*room).to_owned()).collect());
+    assert_eq!(week, [of("Ada", &["bathroom", "kitchen"]), of("ben", &["bathroom", "hall", "kitchen"])]);
+    assert_eq!(narrators.iter().map(|row| &row[1..]).collect::<Vec<_>>(), [["7", "7", ""]]);
+}
+
+/// A process of another user can have made the log.
+#[test]
+fn a_database_without_permission_to_write_is_no_damage() {
+    use rustix::thread::set_thread_res_uid;
+
+    let outer = tempfile::tempdir().unwrap();
+    let directory = outer.path().join("state");
+    fs::create_dir(&directory).unwrap();
+    drop(writer(&directory, 1 << 20));
+    fs::set_permissions(directory.join("roomcast.db-wal"), PermissionsExt::from_mode(0o400)).unwrap();
+    let user = rustix::process::geteuid().is_root().then(|| rustix::fs::Uid::from_raw(65_534));
+    if user.is_some() {
+        // Root may write anything, so a thread is another user.
+        fs::set_permissions(outer.path(), PermissionsExt::from_mode(0o711)).unwrap();
+        let files = fs::read_dir(&directory).unwrap().map(|file| file.unwrap().path());
+        files.chain([directory.clone()]).for_each(|file| rustix::fs::chown(&file, user, None).unwrap());
     }
+    let opens = || {
+        user.map_or(Ok(()), |user| set_thread_res_uid(user, user, user)).unwrap();
+        Database::open(&directory.join(FILE), SCHEMA).map(|_| ())
+    };
+    let opened = std::thread::scope(|scope| scope.spawn(opens).join().unwrap());
+    assert!(matches!(&opened, Err(JournalError::Sqlite(..))), "{opened:?}");
+    assert!(aside(&directory).is_none() && directory.join(FILE).exists());
+}
+
+#[test]
+fn a_database_that_cannot_be_set_aside_keeps_its_log() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = directory.path().join("roomcast.db-wal");
+    fs::write(directory.path().join(FILE), "no database ".repeat(1000)).unwrap();
+    fs::write(&log, "log").unwrap();
+    (1..=16).for_each(|number| fs::create_dir(directory.path().join(format!("roomcast.db.damaged-{number}"))).unwrap());
+    assert!(matches!(open(directory.path()), Err(JournalError::File(_, "set aside", _))));
+    assert_eq!(fs::read(log).unwrap(), b"log");
+}
+
+#[test]
+fn an_error_of_sqlite_is_said_once() {
+    let full = rusqlite::ffi::Error::new(13);
+    let error = Error::SqliteFailure(full, Some("database or disk is full".to_owned()));
+    let said = crate::logging::chain(&JournalError::Sqlite("roomcast.db".into(), error));
+    assert_eq!(said, "database roomcast.db: database or disk is full; check the disk and its space");
 }
 
 #[test]

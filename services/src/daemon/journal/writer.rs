@@ -20,6 +20,8 @@ use crate::daemon::habits::Memory;
 
 /// Silence before a sync.
 const QUIET_BEFORE_SYNC: Duration = Duration::from_millis(100);
+/// A note: the files of an earlier version were read.
+const OLD_FILES_READ: &str = "read_old_files";
 
 /// The error inside.
 fn inner(error: DatabaseError) -> Error {
@@ -174,6 +176,7 @@ impl Writer {
             }
             synced => synced?,
         }
+        self.is_to_erase = self.database.write(|transaction| store::has_note(transaction, store::TO_ERASE))?;
         let recovered = self.recover()?;
         self.habits.clone_from(&recovered.habits);
         self.persons.clone_from(&recovered.persons);
@@ -202,14 +205,11 @@ impl Writer {
     /// Reads the journal of earlier versions, once.
     fn import(&mut self) -> Result<(), Error> {
         let Some(directory) = &self.directory else { return Ok(()) };
-        let is_imported = |transaction: &Transaction<'_>| {
-            transaction.query_row("SELECT count(*) FROM meta WHERE key = 'read_old_files'", [], |row| row.get(0))
-        };
-        if self.database.write(is_imported)? {
+        if self.database.write(|transaction| store::has_note(transaction, OLD_FILES_READ))? {
             return Ok(());
         }
-        // A database that lost the mark has newer events and names than the old files.
-        let is_new = self.number == 0;
+        // A database that lost the mark, or was lost, had newer events and names than the old files.
+        let is_new = self.number == 0 && self.database.set_aside().next().is_none();
         let records = if is_new { old::read(directory, self.bytes_max, &self.boot_id) } else { Vec::new() };
         let persons = if is_new { old::persons(directory) } else { Vec::new() };
         let (first, count) = (self.number + 1, records.len());
@@ -219,7 +219,7 @@ impl Writer {
             if !persons.is_empty() {
                 store::write_persons(transaction, &persons)?;
             }
-            transaction.execute("INSERT INTO meta VALUES ('read_old_files', 1)", []).map(|_| ())
+            store::note(transaction, OLD_FILES_READ)
         })?;
         if count > 0 {
             self.number += count as i64;
@@ -340,12 +340,14 @@ impl Writer {
         self.write([])?;
         self.number += 1;
         let number = self.number;
-        let forgotten = self.database.write(|transaction| forget::forget(transaction, person, is_theirs, number));
+        let forgotten = self.database.write(|transaction| {
+            store::note(transaction, store::TO_ERASE)?;
+            forget::forget(transaction, person, is_theirs, number)
+        });
         let theirs = forgotten.inspect_err(|error| self.recover_from(error))?;
-        let removed = self.database.remove_set_aside();
-        let removed = removed
-            .and_then(|()| self.directory.as_deref().map_or(Ok(()), |directory| old::remove(directory, &old::EVENTS)));
-        removed.map_err(refused)?;
+        if let Some(directory) = &self.directory {
+            old::remove(directory, &old::EVENTS).map_err(refused)?;
+        }
         // Also when nothing has changed: an earlier call may have failed before this.
         self.erase()?;
         Ok(theirs)
@@ -373,6 +375,8 @@ impl Writer {
     /// # Errors
     /// When the disk refuses. The habits are written later.
     pub(in crate::daemon) fn forget_habits(&mut self) -> Result<(), Error> {
+        let noted = self.database.write(|transaction| store::note(transaction, store::TO_ERASE));
+        noted.inspect_err(|error| self.recover_from(error))?;
         self.write_waiting_habits()?;
         if let Some(directory) = &self.directory {
             old::remove(directory, &old::HABITS).map_err(refused)?;
@@ -390,9 +394,12 @@ impl Writer {
         Ok(())
     }
 
+    /// Removes all deleted data, also from the databases that were set aside.
     fn erase(&mut self) -> Result<(), Error> {
         self.is_to_erase = true;
-        self.database.erase().inspect_err(|error| self.recover_from(error))?;
+        self.database.remove_set_aside().map_err(refused)?;
+        let erased = self.database.erase().and_then(|()| self.database.write(store::remove_to_erase));
+        erased.inspect_err(|error| self.recover_from(error))?;
         self.is_to_erase = false;
         // Nothing that a later sync loses was written before this.
         self.queue = Queue::default();
