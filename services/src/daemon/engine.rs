@@ -563,7 +563,7 @@ impl<M: LanguageModel> Engine<M> {
 
     fn look(&mut self, now_ns: BootNs) {
         self.watch();
-        self.belief.track(now_ns);
+        self.belief.track(self.scoring.pipeline.grounding(), now_ns);
     }
 
     /// The scores of the last good step as a message to send at `now_ns`; `heartbeat` if they are unchanged.

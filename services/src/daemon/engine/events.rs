@@ -71,7 +71,9 @@ impl<M: LanguageModel> Engine<M> {
             self.attribution.remember(understood);
             return (is_read_alone, moves);
         }
-        let is_unnamed = is_sensor || matches!(who, Who::Unknown(_)) && !own.by_fit;
+        // Before a person is known, the first one takes it.
+        let is_of_known = || !self.attribution.persons.followed().is_empty();
+        let is_unnamed = is_sensor || matches!(who, Who::Unknown(_)) && !own.by_fit && is_of_known();
         let parts = match (weighed, &who) {
             (Weighed::Yes, Who::Unknown(count)) if is_unnamed => self.shares(&own, *count),
             (Weighed::Yes, _) if is_sensor => self.shares(&own, 1),
@@ -320,7 +322,10 @@ impl<M: LanguageModel> Engine<M> {
         let followed = self.attribution.persons.followed();
         let persons = tracking.persons().iter().filter(|person| followed.contains(person) || count > 1);
         let parts: Vec<Observation> = persons.filter_map(part).collect();
-        let unknown = |person: &PersonId| self.attribution.persons.get(*person).is_none() && !followed.contains(person);
+        let unknown = |person: &PersonId| {
+            let is_known = self.attribution.persons.get(*person).is_some() || followed.contains(person);
+            !is_known && !tracking.is_nobody(*person)
+        };
         let took_part = |person: &PersonId| parts.iter().any(|own| own.person == *person);
         let idle: Vec<PersonId> =
             tracking.persons().iter().copied().filter(|person| unknown(person) && !took_part(person)).collect();
@@ -381,6 +386,9 @@ impl<M: LanguageModel> Engine<M> {
             self.drop_person(dropped);
         }
         self.scoring.rescore(observation.person);
+        if let Some(tracking) = &mut self.belief.tracking {
+            tracking.admit(observation.person);
+        }
         if let Event::Present(Some(room)) = &observation.event {
             self.map.note_room(room.as_str(), self.scoring.pipeline.grounding());
         }

@@ -96,6 +96,8 @@ pub(super) struct Tracking {
     now: Tracker,
     /// By the tracker's index.
     persons: Vec<PersonId>,
+    /// Nobody is known yet: the first person stands for the first one who will be.
+    is_unnamed: bool,
     sensors: Vec<(Device, SensorSpec)>,
     hour: u8,
     /// Until when the hours have passed.
@@ -150,6 +152,7 @@ impl Tracking {
             tracker,
             now,
             persons: Vec::new(),
+            is_unnamed: false,
             sensors: Vec::new(),
             hour,
             passed_s: at_s,
@@ -160,6 +163,9 @@ impl Tracking {
         };
         for person in persons {
             own.index_of(person);
+        }
+        if own.persons.is_empty() {
+            own.is_unnamed = own.index_of(PersonId(0)).is_some();
         }
         for (device, last) in &sensors.0 {
             // A person that is gone takes the devices along.
@@ -202,6 +208,18 @@ impl Tracking {
         let usual = self.tracker.usual(index, self.hour);
         self.tracker.set_movement(index, &usual);
         Some(index)
+    }
+
+    /// The first person who becomes known is the one whom the sensors saw before.
+    pub(super) fn admit(&mut self, person: PersonId) {
+        if !std::mem::take(&mut self.is_unnamed) {
+            return;
+        }
+        if self.persons.iter().skip(1).any(|other| *other == person) {
+            self.remove(self.persons[0]);
+        } else {
+            self.persons[0] = person;
+        }
     }
 
     /// The tracker's index of a device, which is added if it is new. `None` if the map lacks its room, or if the device changed.
@@ -281,6 +299,9 @@ impl Tracking {
         self.pass(at_s, local_ahead_s);
         // Persons and devices are added at the time of the event, with and without a look before it.
         self.tracker.advance(at_s);
+        if let Some(person) = said.who.filter(|_| !matches!(said.event, Event::Sensor(_))) {
+            self.admit(person);
+        }
         let who = match said.who {
             Some(person) => match self.index_of(person) {
                 Some(index) => Some(index),
@@ -361,6 +382,7 @@ impl Tracking {
 
     pub(super) fn remove(&mut self, person: PersonId) {
         if let Some(index) = self.persons.iter().position(|other| *other == person) {
+            self.is_unnamed &= index > 0;
             self.tracker.remove_person(index);
             self.now.remove_person(index);
             self.looked_ns = None;
@@ -384,6 +406,16 @@ impl Tracking {
     /// Whether a device or its person changed, so that the filter has to start again.
     pub(super) fn is_stale(&self) -> bool {
         self.is_stale
+    }
+
+    /// Whether a device has a state, so that the filter knows something also before a person is known.
+    pub(super) fn is_sensed(&self) -> bool {
+        (0..self.sensors.len()).any(|sensor| self.tracker.is_on(sensor).is_some())
+    }
+
+    /// Whether this number stands for the first person who will be known.
+    pub(super) fn is_nobody(&self, person: PersonId) -> bool {
+        self.is_unnamed && self.persons.first() == Some(&person)
     }
 
     pub(super) fn persons(&self) -> &[PersonId] {

@@ -894,3 +894,49 @@ fn persons_in_a_bed_are_asleep_after_a_silence_until_they_get_up() {
         assert!(!are_asleep(&mut own)[0], "{bed:?}");
     }
 }
+
+#[test]
+fn sensors_show_the_occupied_rooms_before_a_person_is_known() {
+    let rooms = ["living-room", "kitchen", "study", "bathroom", "bedroom", "corridor"];
+    let seen = |residents: &str, on: usize| {
+        let mut house = House::on(FLAT, residents);
+        let devices = rooms.map(|room| ("presence", room, room, ""));
+        devices.into_iter().for_each(|device| house.report(1, device, false));
+        devices.into_iter().take(on).for_each(|device| house.report(1, device, true));
+        house.play(if on > 0 { "600" } else { "36000" });
+        let likely = rooms.map(|room| house.at("somebody", room));
+        (house.engine.forecast(BootNs(house.now_ns)).flags, likely)
+    };
+    for residents in ["Jon, Mira", ""] {
+        let (flags, likely) = seen(residents, 2);
+        assert_eq!(flags, forecast_flags::RESIDENT_UNKNOWN, "{residents}");
+        assert!(likely[..2].iter().all(|p| *p > 0.8) && likely[2..].iter().all(|p| *p < 0.1), "{likely:?}");
+        // An empty house is no knowledge while a resident was not observed.
+        let (flags, likely) = seen(residents, 0);
+        assert!(flags == forecast_flags::NOT_KNOWN && likely == [1.0 / 6.0; 6], "{flags} {likely:?}");
+    }
+}
+
+#[test]
+fn the_first_unnamed_event_after_a_sensor_has_a_person() {
+    let mut house = House::on(FLAT, "");
+    house.report(1, ("presence", "living", "living-room", ""), false);
+    house.report(1, ALL[6], true);
+    assert_eq!(house.known(), 0, "a sensor alone invents no person");
+    house.play("1: A man is cooking in the kitchen. | ? 0 present");
+    assert_eq!((house.known(), house.last_understood().why), (1, None));
+    house.restart();
+    house.play("? 0 present | 60 Jon: They lie on the bed. | =  present, Jon present");
+}
+
+#[test]
+fn the_first_named_person_is_the_one_whom_the_sensors_saw() {
+    let mut house = House::on(FLAT, "");
+    for device in [ALL[6], ("presence", "living", "living-room", "")] {
+        house.report(1, device, false);
+    }
+    house.report(60, ALL[7], true);
+    house.play("60 Jon: present | ? Jon living-room > .8 | = Jon present | 1 corridor on | = Jon present");
+    house.restart();
+    house.play("= Jon present");
+}
