@@ -940,3 +940,16 @@ fn the_first_named_person_is_the_one_whom_the_sensors_saw() {
     house.restart();
     house.play("= Jon present");
 }
+
+#[test]
+fn a_room_that_the_map_lacks_is_refused_before_a_correction() {
+    let mut house = House::on(FLAT, "Jon");
+    let mut ask = |room: &str| {
+        let room = room.to_owned();
+        answer_about_person(&mut house.engine, None, Ok(PersonQuestion::Room { room })).reason
+    };
+    assert_eq!(ask("kitchen"), None);
+    assert!(
+        ask("nowhere").is_some_and(|why| why.contains("no single room \"nowhere\": give") && why.contains("kitchen"))
+    );
+}
