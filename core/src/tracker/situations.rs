@@ -475,3 +475,12 @@ fn odd_input_is_ignored() {
     play.tracker.observe(f64::NAN, &Observation::Empty { room: 0 }, f64::NAN);
     assert!((0..6).all(|room| play.p(JON, room).is_finite()));
 }
+
+#[test]
+fn a_motion_that_ended_stays_a_reason() {
+    let mut play = Play::new();
+    play.put(MIRA, LIVING).on(S::PresenceLiving).put(JON, HALL).after(20.0).pulse(S::MotionKitchen, 30.0).after(60.0);
+    let reasons: Vec<Reason> = play.tracker.why(JON, Some(KITCHEN)).into_iter().flatten().collect();
+    let on = Cause::Sensor { sensor: S::MotionKitchen as usize, on: true };
+    assert!(reasons.iter().any(|own| own.cause == on && own.log_odds > 2.0), "{reasons:?}");
+}
