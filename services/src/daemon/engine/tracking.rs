@@ -31,6 +31,8 @@ struct Last {
     report: Arc<SensorReport>,
     person: Option<PersonId>,
     at_ns: i64,
+    /// The log says that its reports disagree.
+    is_warned: bool,
 }
 
 /// A device: its narrator, its kind and its id. Two narrators may use the same id, and one device may see motion and presence.
@@ -53,8 +55,21 @@ impl Sensors {
         at_ns: i64,
     ) -> Result<(), Reason> {
         let device = device_of(source, report);
+        let mut is_warned = false;
         match self.0.get(&device) {
             Some(last) if last.at_ns > at_ns => return Err(Reason::Outdated),
+            Some(last) => {
+                let device = |own: &SensorReport| {
+                    (own.room.clone(), own.beyond.clone(), own.only_on, own.hold_s, own.false_alarms_per_day)
+                };
+                let differs = (device(&last.report), last.person) != (device(report), person);
+                is_warned = last.is_warned || differs;
+                if differs && !last.is_warned {
+                    let (kind, id, now, before) = (report.kind, &*report.id, report, &last.report);
+                    tracing::warn!(%kind, id, %now, %before, "the reports of a sensor disagree about its room, person or times: each change starts \
+                         the filter again; give each device its own id");
+                }
+            }
             None if self.0.len() >= SENSORS_MAX => return Err(Reason::NoSensor),
             _ => {}
         }
@@ -68,7 +83,7 @@ impl Sensors {
                 }
             }
         }
-        self.0.insert(device, Last { report: Arc::clone(report), person, at_ns });
+        self.0.insert(device, Last { report: Arc::clone(report), person, at_ns, is_warned });
         Ok(())
     }
 
@@ -484,5 +499,42 @@ impl Tracking {
 
     pub(super) fn now(&self) -> &Tracker {
         &self.now
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{self, Write};
+    use std::sync::Mutex;
+
+    use super::*;
+
+    #[derive(Debug, Clone, Default)]
+    struct Log(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Log {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.lock().unwrap().write(bytes)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_device_whose_reports_disagree_is_named_in_the_log_once() {
+        let (log, mut sensors) = (Log::default(), Sensors::default());
+        let copy = log.clone();
+        let subscriber = tracing_subscriber::fmt().with_writer(move || copy.clone()).with_ansi(false).finish();
+        tracing::subscriber::with_default(subscriber, || {
+            for (at_ns, room) in (0..).zip(["hall", "hall", "kitchen", "hall"]) {
+                let text = format!(r#"{{"sensor":"motion","id":"pir-7","room":"{room}","on":{}}}"#, at_ns % 2 == 0);
+                let report = Arc::new(SensorReport::parse(&text).unwrap());
+                sensors.note((1, &report), None, at_ns).unwrap();
+            }
+        });
+        let text = String::from_utf8(log.0.lock().unwrap().clone()).unwrap();
+        assert!(text.matches("disagree").count() == 1 && text.contains("pir-7"), "{text}");
     }
 }
