@@ -478,6 +478,16 @@ impl Tracker {
         self.trace.record(self.now_s, cause, shares, (&self.earlier, &self.marginals));
     }
 
+    /// Sets a sensor's state by a report of a time long before the belief's: it holds from now on, but its flip says nothing about the present.
+    pub fn set_late(&mut self, sensor: usize, on: Option<bool>) {
+        self.trace.begin();
+        if let Some(own) = self.sensors.get_mut(sensor) {
+            // A device without "off" has turned off since then.
+            own.on = on.map(|on| on && own.spec.holds);
+            own.since_s = self.now_s;
+        }
+    }
+
     /// Probability that a person is in a room; of `None`, elsewhere.
     #[must_use]
     pub fn probability(&self, person: usize, room: Option<usize>) -> f64 {

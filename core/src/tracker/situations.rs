@@ -484,3 +484,13 @@ fn a_motion_that_ended_stays_a_reason() {
     let on = Cause::Sensor { sensor: S::MotionKitchen as usize, on: true };
     assert!(reasons.iter().any(|own| own.cause == on && own.log_odds > 2.0), "{reasons:?}");
 }
+
+#[test]
+fn a_state_of_long_ago_holds_without_a_flip() {
+    let mut play = Play::new();
+    play.put(JON, LIVING).put(MIRA, LIVING).on(S::PresenceLiving).after(600.0);
+    let before = play.all();
+    play.tracker.set_late(S::MotionKitchen as usize, Some(true));
+    assert_eq!((play.tracker.is_on(S::MotionKitchen as usize), play.all()), (Some(true), before));
+    assert_eq!(play.tracker.attribution(JON), 0.0);
+}

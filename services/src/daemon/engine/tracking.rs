@@ -13,6 +13,7 @@ use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::tracker::{self, Home, Movement, Observation, Options, SensorSpec, Tracker};
 
+use super::super::persons::LATE_NS;
 use super::attribution::Reason;
 use super::map_in_use::room_named;
 use super::robots::Robots;
@@ -329,6 +330,10 @@ impl Tracking {
         let observation = match said.event {
             Event::Sensor(report) => {
                 let Some(sensor) = self.sensor_of(home, (said.source, report), said.who) else { return false };
+                if self.is_older(at_ns, LATE_NS) {
+                    self.tracker.set_late(sensor, report.on);
+                    return true;
+                }
                 let room = self.sensors[sensor].1.room;
                 if let (Some(is_there), Some(room)) = (said.robot, room) {
                     let rooms = if is_there { &[room][..] } else { &[] };

@@ -942,6 +942,19 @@ fn the_first_named_person_is_the_one_whom_the_sensors_saw() {
 }
 
 #[test]
+fn a_report_of_long_ago_sets_the_state_of_its_sensor_and_moves_nobody() {
+    let mut flat = flat("1 Jon: They sit on the sofa. | 1 Mira: They sit on the sofa. | 1 living on | 900");
+    let places = [("Jon", "kitchen"), ("Jon", "living-room"), ("Mira", "kitchen"), ("somebody", "kitchen")];
+    let before = places.map(|(who, room)| flat.at(who, room));
+    for (late_s, on) in [(880, true), (850, false), (600, true), (570, false), (300, true), (270, false)] {
+        flat.enter_late(late_s * S, &format!(r#"{{"sensor":"motion","id":"kitchen","room":"kitchen","on":{on}}}"#));
+    }
+    let after = places.map(|(who, room)| flat.at(who, room));
+    assert!(before.iter().zip(&after).all(|(a, b)| (a - b).abs() < 0.02), "{before:?} {after:?}");
+    flat.play("1 kitchen on | ? somebody kitchen > .5");
+}
+
+#[test]
 fn a_room_that_the_map_lacks_is_refused_before_a_correction() {
     let mut house = House::on(FLAT, "Jon");
     let mut ask = |room: &str| {
