@@ -358,11 +358,12 @@ fn sensor_reports(own: &mut Tracker, number: usize, on: Option<bool>) -> Option<
 
 fn learn_flip(own: &mut Tracker, number: usize, was: bool) {
     let Some(mut classes) = own.classes_of(number) else { return };
-    // All residents were out: a noisy sensor explains the flip at least as well as an unknown person.
+    // All residents were out: a noisy sensor explains the flip at least as well as an unknown person, unless such a person surely was in.
     let rooms = own.home.rooms();
     let out = |slot: usize| own.earlier.get(slot * (rooms + 1) + rooms).copied().unwrap_or(0.0);
     let slots = own.unknown()..own.belief.slots();
-    if !was && !slots.is_empty() && slots.map(out).all(|p| p > SURELY) {
+    let is_visited = (0..own.unknown()).any(|slot| out(slot) < 1.0 - SURELY);
+    if !was && !slots.is_empty() && !is_visited && slots.map(out).all(|p| p > SURELY) {
         let kept = classes[1..].iter().sum::<f64>();
         let spread = if kept > ALONE { ALONE / kept } else { 1.0 };
         classes[1..].iter_mut().for_each(|own| *own *= spread);

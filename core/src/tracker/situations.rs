@@ -486,6 +486,19 @@ fn a_motion_that_ended_stays_a_reason() {
 }
 
 #[test]
+fn a_visitor_who_surely_is_there_makes_no_sensor_noisy() {
+    let mut play = Play::both_out();
+    let kitchen: Vec<f64> = (0..6).map(|room| f64::from(u8::from(room == KITCHEN))).collect();
+    for _ in 0..18 {
+        play.after(1_200.0);
+        (0..2).for_each(|_| _ = play.see(Observation::Action { who: None, rooms: &kitchen }, 0.99));
+        play.pulse(S::MotionKitchen, 60.0);
+    }
+    assert!(play.tracker.visited() > 0.9 && play.out(JON) > 0.9, "{} {}", play.tracker.visited(), play.all());
+    assert_eq!(play.tracker.noisy().count(), 0, "{}", play.all());
+}
+
+#[test]
 fn a_state_of_long_ago_holds_without_a_flip() {
     let mut play = Play::new();
     play.put(JON, LIVING).put(MIRA, LIVING).on(S::PresenceLiving).after(600.0);
