@@ -11,6 +11,9 @@ const EVERY: Duration = Duration::from_secs(2);
 /// Longest wait for each answer. A person without an answer keeps the line.
 const PATIENCE: Duration = Duration::from_millis(100);
 
+/// A person with a smaller share did not cause an event.
+const LEAST_SHARE: f64 = 0.05;
+
 #[derive(Debug)]
 pub struct Reasons {
     port: QuestionPort,
@@ -51,10 +54,10 @@ impl Reasons {
     }
 }
 
-/// The observation with the largest effect on a person's most probable place. `None` if each event had one person.
+/// The observation that speaks most for a person's most probable place, or else against it. `None` if each event had one person.
 fn line(found: &Whereabouts) -> Option<String> {
     let place = found.places.first()?;
-    let why = place.why.first().filter(|_| found.is_joint)?;
+    let why = place.why.iter().find(|why| why.log_odds > 0.0).or(place.why.first()).filter(|_| found.is_joint)?;
     let text = why_text(&called(&found.person), why, &ago(why.ago_s));
     Some(format!("{} {:.0} %: {text}", place.place, 100.0 * place.probability))
 }
@@ -77,7 +80,11 @@ pub fn called(person: &UnderstoodPerson) -> String {
 #[must_use]
 pub fn why_text(name: &str, why: &WhyLine, ago: &str) -> String {
     let what = why.sensor.as_deref().unwrap_or(&why.what);
-    let whose = why.or.as_ref().map(|other| format!(", could be {name} or {}", called(other))).unwrap_or_default();
+    let whose = match why.or.as_ref().map(called) {
+        Some(other) if why.share < LEAST_SHARE => format!(", by {other}"),
+        Some(other) => format!(", could be {name} or {other}"),
+        None => String::new(),
+    };
     let side = if why.log_odds < 0.0 { "against" } else { "for" };
     format!("{what}, {ago}{whose}: {} {side}", why.weight)
 }
@@ -108,6 +115,12 @@ mod tests {
             Whereabouts { person: person(1, "Jon"), places: vec![place], house_empty, visited, is_joint: true, noisy };
         let expected = "hall 62 %: motion hall-pir on, in the last minute, could be Jon or Mira: weak for";
         assert_eq!(line(&found).as_deref(), Some(expected));
+        let mut other = found.clone();
+        other.places[0].why[0].share = 0.0;
+        assert!(line(&other).unwrap().ends_with("in the last minute, by Mira: weak for"));
+        let against = WhyLine { log_odds: -4.0, ..other.places[0].why[0].clone() };
+        other.places[0].why.insert(0, against);
+        assert!(line(&other).unwrap().ends_with("weak for"), "a reason for the place comes first");
         assert_eq!(line(&Whereabouts { is_joint: false, ..found }), None);
     }
 }

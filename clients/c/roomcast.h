@@ -123,7 +123,7 @@
 // Most points in time of a forecast.
 #define ROOMCAST_MAX_HORIZONS 16
 
-// No person was observed, or a resident was not observed and all others are away: all rooms are equally likely.
+// No person was observed, or a resident was not observed and all others are away; and no sensor shows a person: all rooms are equally likely.
 #define ROOMCAST_FORECAST_FLAGS_NOT_KNOWN 1
 
 // The last event of a person is from before the daemon's start.
@@ -132,7 +132,7 @@
 // The house is empty now.
 #define ROOMCAST_FORECAST_FLAGS_NOBODY_HOME (1 << 2)
 
-// A resident was not observed: the probabilities lack this resident, who may be in any room.
+// A resident was not observed and may be in any room. Without sensors, the probabilities lack this resident.
 #define ROOMCAST_FORECAST_FLAGS_RESIDENT_UNKNOWN (1 << 3)
 
 // The scores have the flag of this name: belief, stays and habits take the place of the model for the persons concerned.

@@ -81,7 +81,10 @@ impl Saying {
     pub(crate) fn new(keys: Keys<'_>, names: &[String]) -> Result<Self, String> {
         let Keys { say, presence, sensor, room, person, count, quiet_s, device } = keys;
         let class = match (say, presence, sensor) {
-            (None, None, None) => return Err("give say, presence or the state of a sensor".to_owned()),
+            (None, None, None) => {
+                let text = "give say, presence or the state of a sensor: \"as\" in the rules of a log, \"sensor\" in those of MQTT";
+                return Err(text.to_owned());
+            }
             (Some(say), None, None) if say.trim().is_empty() => return Err("say is empty".to_owned()),
             (Some(_), None, None) => Class::Sentence,
             (None, Some(_), None) => Class::Presence,
@@ -218,6 +221,13 @@ fn check_sensor(kind: SensorKind, keys: &Keys<'_>) -> Result<(), String> {
     }
     if keys.count.is_some() || keys.quiet_s.is_some() {
         return Err("count and quiet_s go with say or presence".to_owned());
+    }
+    // JSON has no such numbers, so the report itself would lack them.
+    let Device { hold_s, false_alarms_per_day, .. } = keys.device;
+    for (key, value) in [("hold_s", hold_s), ("false_alarms_per_day", false_alarms_per_day)] {
+        if value.is_some_and(|value| !value.is_finite()) {
+            return Err(format!("{key} is no finite number"));
+        }
     }
     Ok(())
 }
@@ -404,7 +414,7 @@ mod tests {
         let say = |say| Keys { say: Some(say), ..NOTHING };
         let away = Keys { presence: Some(Whereabouts::Away), ..NOTHING };
         for (keys, part) in [
-            (NOTHING, "give say, presence or the state"),
+            (NOTHING, "give say, presence or the state of a sensor: \"as\""),
             (say(" "), "say is empty"),
             (say("They use {2}."), "say has {2}; it knows {value}, {1}"),
             (say("They use {value."), "say has a brace alone"),
@@ -474,6 +484,14 @@ mod tests {
             (
                 Keys { device: Device { hold_s: Some(-1.0), ..Device::default() }, ..motion },
                 "\"hold_s\" is out of range",
+            ),
+            (
+                Keys { device: Device { hold_s: Some(f64::NAN), ..Device::default() }, ..motion },
+                "hold_s is no finite number",
+            ),
+            (
+                Keys { device: Device { false_alarms_per_day: Some(f64::INFINITY), ..Device::default() }, ..motion },
+                "false_alarms_per_day is no finite number",
             ),
             (Keys { device: Device { id: Some("{2}"), ..Device::default() }, ..motion }, "id has {2}"),
             (Keys { say: Some("They sit."), device, ..NOTHING }, "go with the state of a sensor"),

@@ -113,7 +113,7 @@ fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     let person: Who = who.parse().map_err(|error: TextError| usage(error.to_string()))?;
     let is_away = is_away(room);
     let text = if is_away { "away".to_owned() } else { format!("present in the {room}") };
-    Event::presence(&text).map_err(|error| usage(error.to_string()))?;
+    let event = Event::presence(&text).map_err(|error| usage(error.to_string()))?;
     let (mut config, domain) = common.service.load()?;
     config.narrator.name = CORRECTIONS.to_owned();
     config.narrator.linger_s = common.patience as f64;
@@ -132,6 +132,15 @@ fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
         let names = if names.is_empty() { "no person yet".to_owned() } else { names.join(", ") };
         return Err(Failure::new(exit_code::INPUT, format!("no person {who:?}: the daemon knows {names}{meant}")));
     }
+    let asker = service::Asker::new(&domain, CORRECTIONS, question::PERSON, common.patience)?;
+    let refused = |why: &str| Failure::new(exit_code::INPUT, format!("the daemon changed no belief: {why}"));
+    if let Event::Present(Some(room)) = event {
+        // A room that the map lacks would make the person present in any room.
+        let checked: PersonAnswer = asker.ask(&PersonQuestion::Room { room: room.as_str().to_owned() })?;
+        if !checked.done {
+            return Err(refused(checked.reason.as_deref().unwrap_or("no reason given")));
+        }
+    }
     let item = Item::new(narration_kind::PRESENCE, text, person);
     let stop = service::stop()?;
     let (limits, input) = (config.daemon.intake, Input::Items(vec![item]));
@@ -143,13 +152,12 @@ fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
         return Err(Failure::new(exit_code::IPC, text));
     }
     let (source, epoch) = outcome.start;
-    let asker = service::Asker::new(&domain, CORRECTIONS, question::PERSON, common.patience)?;
     let answer: PersonAnswer = asker.ask(&PersonQuestion::Understood { source, epoch, from: 1 })?;
     if common.json {
         super::print_json(&answer)?;
     }
     match answer.understood.last().and_then(|line| line.why.as_deref()) {
-        Some(why) => Err(Failure::new(exit_code::INPUT, format!("the daemon changed no belief: {why}"))),
+        Some(why) => Err(refused(why)),
         None if common.json => Ok(()),
         None => {
             print(&format!("{who} is {}.\n", if is_away { "away".to_owned() } else { format!("in the room {room}") }))

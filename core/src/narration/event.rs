@@ -61,7 +61,7 @@ impl TryFrom<String> for RoomName {
     type Error = TextError;
 
     fn try_from(name: String) -> Result<Self, TextError> {
-        Self::new(&name)
+        Self::new(&name).or_else(|_| refused(format!("{name:?} is no room: give a room's id, name or alias")))
     }
 }
 

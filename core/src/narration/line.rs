@@ -391,6 +391,7 @@ mod tests {
             {"text": "They sit.", "count": 2, "person": "ada"} => "count" counts unknown persons
             {"sensor": "motion", "id": "a", "room": "hall"} => "sensor" needs "on"
             {"sensor": "motion", "id": "a", "on": true} => needs the "room"
+            {"sensor": "motion", "id": "a", "room": "", "on": true} => "" is no room: give a room's id
             {"sensor": "motion", "id": "a", "room": "hall", "on": true, "text": "a"} => "sensor" excludes
             {"text": "They sit.", "on": true} => "on" goes with "sensor"
             {"presence": "away", "kind": "sentence"} => "kind" goes with "text"

@@ -88,6 +88,9 @@ impl SensorReport {
             (SensorKind::Phone, None, None) => {}
             (SensorKind::Phone, ..) => return Err("a phone has no \"room\": leave it out".to_owned()),
             (_, None, _) => return Err(format!("sensor \"{}\" needs the \"room\" that it sees", self.kind)),
+            (SensorKind::Door, Some(room), Some(beyond)) if room == beyond => {
+                return Err("\"beyond\" is the \"room\" itself: give the room on the other side".to_owned());
+            }
             (SensorKind::Door, ..) | (_, _, None) => {}
             (_, _, Some(_)) => return Err("\"beyond\" goes with sensor \"door\" alone".to_owned()),
         }
@@ -127,6 +130,7 @@ mod tests {
             (r#"{"sensor":"motion","id":" ","room":"hall","on":true}"#, "id"),
             (r#"{"sensor":"motion","id":"a","on":true}"#, "room"),
             (r#"{"sensor":"bed","id":"a","room":"b","beyond":"c"}"#, "beyond"),
+            (r#"{"sensor":"door","id":"a","room":"b","beyond":"b"}"#, "\"beyond\" is the \"room\""),
             (r#"{"sensor":"phone","id":"a","room":"b"}"#, "room"),
             (r#"{"sensor":"motion","id":"a","room":"b","hold_s":-1}"#, "hold_s"),
             (r#"{"sensor":"motion","id":"a","room":"b","false_alarms_per_day":1e9}"#, "false_alarms_per_day"),

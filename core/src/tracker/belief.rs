@@ -209,18 +209,17 @@ impl Belief {
     }
 
     /// One step of motion, for each person independently given the state, after a likelihood.
-    pub(super) fn step(
+    pub(super) fn step<'a>(
         &mut self,
         likelihood: impl FnMut(Key) -> f64,
         units: usize,
-        transitions: &[Transitions],
-        of_slot: &[usize],
+        of_slot: impl Fn(usize) -> &'a Transitions,
     ) {
         let total = self.scale(likelihood);
         self.reindex();
         let least = total * self.floor.max(0.05 * self.lightest);
         for slot in 0..self.slots {
-            let own = &transitions[of_slot[slot]];
+            let own = of_slot(slot);
             // Per place: its bits in a state, and the weight up to which nothing moves.
             let mut moves = [0; 256];
             let mut stays = [f64::INFINITY; 256];

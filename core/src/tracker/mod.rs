@@ -31,8 +31,6 @@
 //!
 //! Pure: no clock, no port. Times come in with the calls, in seconds.
 
-use std::sync::Arc;
-
 mod belief;
 mod home;
 mod motion;
@@ -54,8 +52,7 @@ pub use trace::{Cause, Reason};
 
 use belief::{Belief, Key, SLOTS_MAX as SLOTS, State, occupied, place};
 use motion::{
-    ELSEWHERE, FINE, FORGETS, LONGEST, PHONELESS, Place, STEP_S, Transitions, moving, places, room_of, settled, still,
-    visibility,
+    ELSEWHERE, FINE, LONGEST, PHONELESS, Place, STEP_S, Tables, moving, places, room_of, settled, still, visibility,
 };
 use sensors::{CLASSES, Sensor};
 use trace::Trace;
@@ -118,10 +115,7 @@ pub struct Tracker {
     home: Home,
     options: Options,
     belief: Belief,
-    /// Of unknown persons, then of each known person; while the sensed front doors are shut, and while one is open.
-    transitions: Arc<[Vec<Transitions>; 2]>,
-    /// Per slot: index into `transitions`.
-    of_slot: Vec<usize>,
+    tables: Tables,
     sensors: Vec<Sensor>,
     now_s: f64,
     /// Until when the sensors' rates were learned.
@@ -155,8 +149,7 @@ impl Tracker {
         let unknown = options.unknown.min(SLOTS - 1);
         let mut own = Self {
             belief: Belief::new(unknown, options.states.max(2), options.floor.clamp(0.0, 1e-5)),
-            transitions: Arc::new([vec![Transitions::new(&home)], vec![Transitions::new(&home)]]),
-            of_slot: vec![0; unknown],
+            tables: Tables::new(&home),
             sensors: Vec::new(),
             now_s: if now_s.is_finite() { now_s } else { 0.0 },
             learned_s: if now_s.is_finite() { now_s } else { 0.0 },
@@ -175,7 +168,6 @@ impl Tracker {
             options,
             home,
         };
-        own.fill(0, &Movement::visitor(&own.home));
         own.summarise();
         own
     }
@@ -205,12 +197,7 @@ impl Tracker {
             prior.push((moving(room), 0.1 * weight / weights));
         }
         self.belief.add(&prior)?;
-        for set in Arc::make_mut(&mut self.transitions) {
-            set.push(Transitions::new(&self.home));
-        }
-        let number = self.transitions[0].len() - 1;
-        self.of_slot.push(number);
-        self.fill(number, &usual);
+        self.tables.add(usual);
         self.limit();
         self.summarise();
         Ok(self.persons() - 1)
@@ -226,8 +213,7 @@ impl Tracker {
     pub fn remove_person(&mut self, person: usize) {
         let Some(slot) = self.slot(person) else { return };
         self.belief.remove(slot);
-        self.of_slot.pop();
-        Arc::make_mut(&mut self.transitions).iter_mut().for_each(|set| drop(set.remove(1 + person)));
+        self.tables.remove(1 + person);
         for sensor in &mut self.sensors {
             match sensor.slot {
                 Some(own) if own == slot => {
@@ -283,12 +269,15 @@ impl Tracker {
         let sound = movement.leave_per_s.iter().chain(&movement.settle).chain(&movement.destination);
         let sound = sound.chain([&movement.outside, &movement.home_per_s]).all(|rate| rate.is_finite() && *rate >= 0.0);
         if person < self.persons() && fits && sound {
-            self.fill(1 + person, movement);
+            self.tables.set(1 + person, movement);
         }
     }
 
-    /// Fills both sets of a person's transition tables.
-    fn fill(&mut self, number: usize, movement: &Movement) {
+    /// Fills the transition tables of all persons whose movement changed. Homes with many rooms take seconds for it, so it waits for the next step.
+    fn fill(&mut self) {
+        if self.tables.are_full() {
+            return;
+        }
         let rooms = self.home.rooms();
         let is_sensed = |room: usize| {
             let mut doors = self.sensors.iter().map(|sensor| &sensor.spec);
@@ -296,11 +285,7 @@ impl Tracker {
         };
         let leak: Vec<f64> =
             (0..rooms).map(|room| if is_sensed(room) { self.options.door_misses } else { 1.0 }).collect();
-        let [shut, open] = Arc::make_mut(&mut self.transitions);
-        // An unknown person has no phone to forget: one place less.
-        let forgets = if number == 0 { 0.0 } else { FORGETS };
-        shut[number].fill(&self.home, movement, &leak, forgets);
-        open[number].fill(&self.home, movement, &vec![1.0; rooms], forgets);
+        self.tables.fill(&self.home, &leak);
     }
 
     /// Adds a sensor. Returns its index. Call [`Tracker::set_movement`] for each person after the last front door was added.
@@ -320,9 +305,7 @@ impl Tracker {
         self.sensors.push(Sensor::new(spec, slot));
         self.trace.add_sensor();
         if spec.kind == SensorKind::Door && spec.beyond.is_none() {
-            self.fill(0, &Movement::visitor(&self.home));
-            let usual = Movement::usual(&self.home, 12);
-            (1..self.transitions[0].len()).for_each(|number| self.fill(number, &usual));
+            self.tables.reset(&self.home);
         }
         Ok(self.sensors.len() - 1)
     }
@@ -364,6 +347,10 @@ impl Tracker {
             // After such a silence the belief no longer changes: whole steps are left out.
             self.now_s += ((now_s - self.now_s - LONGEST_S) / longest_s).ceil() * longest_s;
         }
+        if now_s.is_finite() && now_s - self.now_s >= STEP_S {
+            // A copy of this filter that goes on from here shares the tables.
+            self.fill();
+        }
         while now_s.is_finite() && now_s - self.now_s >= self.next as f64 * STEP_S {
             self.step(self.next);
             self.next = (2 * self.next).min(LONGEST);
@@ -373,11 +360,13 @@ impl Tracker {
     /// One step of so many units.
     fn step(&mut self, units: usize) {
         self.release();
+        self.fill();
         let half_s = 0.5 * units as f64 * STEP_S;
         self.fill_silence(self.silent_s + half_s);
         let silence = silence(&self.room_silence, &self.slot_silence, self.belief.slots());
         let set = usize::from(self.is_open());
-        self.belief.step(silence, units, &self.transitions[set], &self.of_slot);
+        let (tables, unknown) = (&self.tables, self.unknown());
+        self.belief.step(silence, units, |slot| tables.of(number(slot, unknown), set));
         self.silent_s = half_s;
         self.now_s += units as f64 * STEP_S;
     }
@@ -489,6 +478,16 @@ impl Tracker {
         self.trace.record(self.now_s, cause, shares, (&self.earlier, &self.marginals));
     }
 
+    /// Sets a sensor's state by a report of a time long before the belief's: it holds from now on, but its flip says nothing about the present.
+    pub fn set_late(&mut self, sensor: usize, on: Option<bool>) {
+        self.trace.begin();
+        if let Some(own) = self.sensors.get_mut(sensor) {
+            // A device without "off" has turned off since then.
+            own.on = on.map(|on| on && own.spec.holds);
+            own.since_s = self.now_s;
+        }
+    }
+
     /// Probability that a person is in a room; of `None`, elsewhere.
     #[must_use]
     pub fn probability(&self, person: usize, room: Option<usize>) -> f64 {
@@ -555,9 +554,14 @@ impl Tracker {
     /// person is there. Given the present joint state, persons move independently.
     #[must_use]
     pub fn forecast(&self, horizon_s: f64) -> Forecast {
+        if !self.tables.are_full() {
+            let mut own = self.clone();
+            own.fill();
+            return own.forecast(horizon_s);
+        }
         let (rooms, slots) = (self.home.rooms(), self.belief.slots());
         let places = places(rooms);
-        let set = &self.transitions[usize::from(self.is_open())];
+        let set = usize::from(self.is_open());
         let mut later: Vec<Option<Vec<f64>>> = vec![None; slots * places];
         let (mut own, mut spare) = (Vec::new(), vec![0.0; places]);
         let mut forecast = Forecast {
@@ -576,7 +580,11 @@ impl Tracker {
                     own.clear();
                     own.resize(places, 0.0);
                     own[from] = 1.0;
-                    set[self.of_slot[slot]].run(horizon_s.min(HORIZON_S), &mut own, &mut spare);
+                    self.tables.of(number(slot, self.unknown()), set).run(
+                        horizon_s.min(HORIZON_S),
+                        &mut own,
+                        &mut spare,
+                    );
                     let room = |room: usize| {
                         [moving(room), settled(room), still(room)]
                             .map(|place| own[usize::from(place)])
@@ -600,6 +608,11 @@ impl Tracker {
         }
         forecast
     }
+}
+
+/// The number of a slot's tables: 0 of unknown persons, then of each known person.
+fn number(slot: usize, unknown: usize) -> usize {
+    (slot + 1).saturating_sub(unknown)
 }
 
 /// The likelihood of silence in a state.

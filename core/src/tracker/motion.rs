@@ -14,6 +14,8 @@
 //! The destination is a weight per room. A way leads through the rooms between, and each takes its crossing time: this bounds the walking speed.
 //! The phases make the stay in a room a mixture of exponentials, which ages: the longer a person stayed, the longer they will.
 
+use std::sync::Arc;
+
 use super::home::{Home, RoomUse};
 
 /// A place of a person: two elsewhere, then three per room.
@@ -273,6 +275,82 @@ impl Transitions {
                 std::mem::swap(own, spare);
             }
         }
+    }
+}
+
+/// The transition tables of all persons: first of unknown persons, then of each known person. Persons with equal movement share theirs.
+#[derive(Debug, Clone)]
+pub(super) struct Tables {
+    movements: Arc<Vec<Movement>>,
+    /// While the sensed front doors are shut, and while one is open; `None` until the next step fills them.
+    filled: Vec<Option<[Arc<Transitions>; 2]>>,
+    /// In place of those that are not filled yet.
+    none: Arc<Transitions>,
+}
+
+impl Tables {
+    pub(super) fn new(home: &Home) -> Self {
+        let none = Arc::new(Transitions::new(home));
+        Self { movements: Arc::new(vec![Movement::visitor(home)]), filled: vec![None], none }
+    }
+
+    pub(super) fn add(&mut self, movement: Movement) {
+        Arc::make_mut(&mut self.movements).push(movement);
+        self.filled.push(None);
+    }
+
+    pub(super) fn remove(&mut self, number: usize) {
+        Arc::make_mut(&mut self.movements).remove(number);
+        self.filled.remove(number);
+    }
+
+    pub(super) fn set(&mut self, number: usize, movement: &Movement) {
+        if self.movements[number] != *movement {
+            Arc::make_mut(&mut self.movements)[number].clone_from(movement);
+            self.filled[number] = None;
+        }
+    }
+
+    /// A front door was added: all persons move by other ways out, and as is usual at noon.
+    pub(super) fn reset(&mut self, home: &Home) {
+        let own = Arc::make_mut(&mut self.movements);
+        own.fill(Movement::usual(home, 12));
+        own[0] = Movement::visitor(home);
+        self.filled.fill(None);
+    }
+
+    pub(super) fn are_full(&self) -> bool {
+        self.filled.iter().all(Option::is_some)
+    }
+
+    /// Fills what is not filled. `leak` is the share of the people who pass a shut door, per room with a way out.
+    pub(super) fn fill(&mut self, home: &Home, leak: &[f64]) {
+        let (movements, filled) = (&self.movements, &mut self.filled);
+        for number in 0..filled.len() {
+            if filled[number].is_some() {
+                continue;
+            }
+            // An unknown person has no phone to forget: one place less.
+            let forgets = if number == 0 { 0.0 } else { FORGETS };
+            let is_alike = |other: &usize| number > 0 && movements[*other] == movements[number];
+            let alike = (1..filled.len()).filter(is_alike).find_map(|other| filled[other].clone());
+            let new = |leak: &[f64]| {
+                let mut own = Transitions::new(home);
+                own.fill(home, &movements[number], leak, forgets);
+                Arc::new(own)
+            };
+            filled[number] = alike.or_else(|| {
+                let shut = new(leak);
+                let is_same = leak.iter().all(|leak| *leak == 1.0);
+                let open = if is_same { Arc::clone(&shut) } else { new(&vec![1.0; leak.len()]) };
+                Some([shut, open])
+            });
+        }
+    }
+
+    /// The tables of a number; the second set while a sensed front door is open.
+    pub(super) fn of(&self, number: usize, set: usize) -> &Transitions {
+        self.filled[number].as_ref().map_or(&self.none, |own| &own[set])
     }
 }
 

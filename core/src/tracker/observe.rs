@@ -3,7 +3,7 @@
 use super::belief::{Key, SLOTS_MAX, State, occupied, place, with};
 use super::motion::{ELSEWHERE, FORGETS, PHONELESS, Place, moving, places, room_of, settled, still, visibility};
 use super::sensors::{CLASSES, Sensor};
-use super::{Cause, ROOMS_MAX, SensorKind, Tracker};
+use super::{Cause, ROOMS_MAX, SensorKind, Tracker, number};
 use crate::places::evenness;
 
 /// One observation. Persons and rooms are indices of the tracker; a person of `None` is unknown.
@@ -358,11 +358,12 @@ fn sensor_reports(own: &mut Tracker, number: usize, on: Option<bool>) -> Option<
 
 fn learn_flip(own: &mut Tracker, number: usize, was: bool) {
     let Some(mut classes) = own.classes_of(number) else { return };
-    // All residents were out: a noisy sensor explains the flip at least as well as an unknown person.
+    // All residents were out: a noisy sensor explains the flip at least as well as an unknown person, unless such a person surely was in.
     let rooms = own.home.rooms();
     let out = |slot: usize| own.earlier.get(slot * (rooms + 1) + rooms).copied().unwrap_or(0.0);
     let slots = own.unknown()..own.belief.slots();
-    if !was && !slots.is_empty() && slots.map(out).all(|p| p > SURELY) {
+    let is_visited = (0..own.unknown()).any(|slot| out(slot) < 1.0 - SURELY);
+    if !was && !slots.is_empty() && !is_visited && slots.map(out).all(|p| p > SURELY) {
         let kept = classes[1..].iter().sum::<f64>();
         let spread = if kept > ALONE { ALONE / kept } else { 1.0 };
         classes[1..].iter_mut().for_each(|own| *own *= spread);
@@ -384,14 +385,15 @@ fn door_opens(own: &mut Tracker, door: &Sensor) {
         _ => [None, None],
     };
     let false_alarm = door.flips(false, false)[0];
-    let (transitions, of_slot) = (&own.transitions[1], &own.of_slot);
+    own.fill();
+    let (tables, unknown) = (&own.tables, own.unknown());
     own.belief.transfer(|State { key, .. }, add| {
         let beside = (0..slots).any(|slot| is_side(place(key, slot)));
         add(key, false_alarm + if beside { OPENS_ONLY } else { 0.0 });
         for slot in 0..slots {
             let from = place(key, slot);
             for to in behind(from).into_iter().flatten() {
-                let rate = transitions[of_slot[slot]].rate(from, to);
+                let rate = tables.of(number(slot, unknown), 1).rate(from, to);
                 if rate > 0.0 {
                     add(with(key, slot, to), rate);
                 }

@@ -200,3 +200,23 @@ fn a_room_with_a_hundred_silent_sensors_resets_no_belief() {
     own.advance(300.0);
     assert!(own.probability(2, Some(0)) > 0.9);
 }
+
+#[test]
+fn tables_are_filled_once_before_a_step_and_shared_by_persons_who_move_alike() {
+    let doors: Vec<(usize, usize)> = (1..ROOMS_MAX).map(|room| (0, room)).collect();
+    let ways: Vec<f64> = (0..ROOMS_MAX).map(|room| f64::from(u8::from(room == 0))).collect();
+    let home = Home::new(&[RoomUse::Other; ROOMS_MAX], &doors, &ways).unwrap();
+    let mut own = Tracker::new(home, Options::default(), 0.0);
+    (1..SLOTS_MAX).for_each(|_| assert!(own.add_person().is_ok()));
+    let night = Movement::usual(own.home(), 2);
+    let sensors = [SensorKind::Door, SensorKind::Bed].map(|kind| SensorSpec::of_room(kind, 0));
+    for spec in sensors.into_iter().cycle().take(32) {
+        own.add_sensor(spec).unwrap();
+        (0..own.persons()).for_each(|person| own.set_movement(person, &night));
+    }
+    assert!(!own.tables.are_full(), "no step needs them yet");
+    own.advance(1.0);
+    assert!(own.tables.are_full() && std::ptr::eq(own.tables.of(1, 0), own.tables.of(SLOTS_MAX - 1, 0)));
+    own.set_movement(0, &night);
+    assert!(own.tables.are_full(), "the same movement needs no new ones");
+}

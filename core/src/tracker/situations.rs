@@ -475,3 +475,35 @@ fn odd_input_is_ignored() {
     play.tracker.observe(f64::NAN, &Observation::Empty { room: 0 }, f64::NAN);
     assert!((0..6).all(|room| play.p(JON, room).is_finite()));
 }
+
+#[test]
+fn a_motion_that_ended_stays_a_reason() {
+    let mut play = Play::new();
+    play.put(MIRA, LIVING).on(S::PresenceLiving).put(JON, HALL).after(20.0).pulse(S::MotionKitchen, 30.0).after(60.0);
+    let reasons: Vec<Reason> = play.tracker.why(JON, Some(KITCHEN)).into_iter().flatten().collect();
+    let on = Cause::Sensor { sensor: S::MotionKitchen as usize, on: true };
+    assert!(reasons.iter().any(|own| own.cause == on && own.log_odds > 2.0), "{reasons:?}");
+}
+
+#[test]
+fn a_visitor_who_surely_is_there_makes_no_sensor_noisy() {
+    let mut play = Play::both_out();
+    let kitchen: Vec<f64> = (0..6).map(|room| f64::from(u8::from(room == KITCHEN))).collect();
+    for _ in 0..18 {
+        play.after(1_200.0);
+        (0..2).for_each(|_| _ = play.see(Observation::Action { who: None, rooms: &kitchen }, 0.99));
+        play.pulse(S::MotionKitchen, 60.0);
+    }
+    assert!(play.tracker.visited() > 0.9 && play.out(JON) > 0.9, "{} {}", play.tracker.visited(), play.all());
+    assert_eq!(play.tracker.noisy().count(), 0, "{}", play.all());
+}
+
+#[test]
+fn a_state_of_long_ago_holds_without_a_flip() {
+    let mut play = Play::new();
+    play.put(JON, LIVING).put(MIRA, LIVING).on(S::PresenceLiving).after(600.0);
+    let before = play.all();
+    play.tracker.set_late(S::MotionKitchen as usize, Some(true));
+    assert_eq!((play.tracker.is_on(S::MotionKitchen as usize), play.all()), (Some(true), before));
+    assert_eq!(play.tracker.attribution(JON), 0.0);
+}

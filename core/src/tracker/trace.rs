@@ -1,6 +1,6 @@
 //! Which observations moved the belief, and who can have caused them.
 //!
-//! The trace keeps the last flip of each sensor and a ring of the other observations, each with its change of the log-odds per person and place.
+//! The trace keeps the last "on" and the last "off" of each sensor and a ring of the other observations, each with its change of the log-odds per person and place.
 
 use super::belief::SLOTS_MAX;
 
@@ -62,7 +62,8 @@ struct Heard {
 #[derive(Debug, Clone)]
 pub(super) struct Trace {
     columns: usize,
-    flips: Vec<Option<Heard>>,
+    /// Per sensor: off, and on.
+    flips: Vec<[Option<Heard>; 2]>,
     ring: Vec<Heard>,
     next: usize,
     last: [f64; SLOTS_MAX],
@@ -79,12 +80,12 @@ impl Trace {
     }
 
     pub(super) fn add_sensor(&mut self) {
-        self.flips.push(None);
+        self.flips.push([None, None]);
     }
 
     /// Forgets all observations: the numbers of persons changed.
     pub(super) fn forget(&mut self) {
-        self.flips.iter_mut().for_each(|own| *own = None);
+        self.flips.iter_mut().for_each(|own| *own = [None, None]);
         self.ring.clear();
         self.next = 0;
         self.last = [0.0; SLOTS_MAX];
@@ -109,9 +110,9 @@ impl Trace {
     ) {
         self.last = shares;
         let empty = || Heard { at_s, cause, shares, log_odds: Vec::with_capacity(SLOTS_MAX * self.columns) };
-        let own = if let Cause::Sensor { sensor, .. } = cause {
+        let own = if let Cause::Sensor { sensor, on } = cause {
             let Some(place) = self.flips.get_mut(sensor) else { return };
-            place.get_or_insert_with(empty)
+            place[usize::from(on)].get_or_insert_with(empty)
         } else {
             if self.ring.len() < RING {
                 self.ring.push(empty());
@@ -138,7 +139,7 @@ impl Trace {
         is_on: impl Fn(usize) -> bool,
     ) -> [Option<Reason>; 3] {
         let mut best: [Option<(f64, Reason)>; 3] = [None; 3];
-        for own in self.flips.iter().flatten().chain(&self.ring) {
+        for own in self.flips.iter().flatten().flatten().chain(&self.ring) {
             let Some(moved) = own.log_odds.get(slot * self.columns + column).map(|moved| f64::from(*moved)) else {
                 continue;
             };

@@ -8,13 +8,13 @@ pub const MAX_HORIZONS: usize = 16;
 
 /// Bits of [`ForecastV1::flags`].
 pub mod forecast_flags {
-    /// No person was observed, or a resident was not observed and all others are away: all rooms are equally likely.
+    /// No person was observed, or a resident was not observed and all others are away; and no sensor shows a person: all rooms are equally likely.
     pub const NOT_KNOWN: u32 = 1;
     /// The last event of a person is from before the daemon's start.
     pub const RESTORED: u32 = 1 << 1;
     /// The house is empty now.
     pub const NOBODY_HOME: u32 = 1 << 2;
-    /// A resident was not observed: the probabilities lack this resident, who may be in any room.
+    /// A resident was not observed and may be in any room. Without sensors, the probabilities lack this resident.
     pub const RESIDENT_UNKNOWN: u32 = 1 << 3;
     /// The scores have the flag of this name: belief, stays and habits take the place of the model for the persons concerned.
     pub const UNFAMILIAR: u32 = 1 << 4;

@@ -102,6 +102,7 @@ pub(super) fn answer_about_person<M: LanguageModel>(
             whereabouts = Some(engine.whereabouts(person, clock_ns));
             Ok(None)
         }
+        PersonQuestion::Room { room } => engine.check_room(&room).map(|()| None),
         PersonQuestion::Rename { who, name, .. } => {
             let person = find(engine, &who)?;
             let renamed = engine.rename(person, &name);

@@ -204,6 +204,13 @@ impl<M: LanguageModel> Engine<M> {
         self.scoring.pipeline.grounding().partitions().iter().map(|room| room.id.as_str())
     }
 
+    /// Fails with the rooms of the map if it has no single room of this name.
+    pub(super) fn check_room(&self, name: &str) -> Result<(), String> {
+        let rooms = || self.room_ids().collect::<Vec<_>>().join(", ");
+        let found = self.map.room(name, self.scoring.pipeline.grounding());
+        found.map(|_| ()).ok_or_else(|| format!("the map has no single room {name:?}: give {}", rooms()))
+    }
+
     /// The habits of the home.
     #[must_use]
     pub fn habits(&self) -> &HomeHabits {
@@ -571,7 +578,7 @@ impl<M: LanguageModel> Engine<M> {
 
     fn look(&mut self, now_ns: BootNs) {
         self.update();
-        self.belief.track(now_ns);
+        self.belief.track(self.scoring.pipeline.grounding(), now_ns);
     }
 
     /// The scores of the last good step as a message to send at `now_ns`; `heartbeat` if they are unchanged.

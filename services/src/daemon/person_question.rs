@@ -29,6 +29,11 @@ pub enum PersonQuestion {
         /// A name or a number.
         who: String,
     },
+    /// Whether the map has a single room of a name, before a person is corrected to be there.
+    Room {
+        /// The room's id, name or alias.
+        room: String,
+    },
     /// Forget a person: their history, their forecast, their name, and their entries in the state database.
     Forget {
         /// The question's name.

@@ -125,7 +125,11 @@ impl Outlook {
             let shared_s = vec![alike * stay_s; if forecast.is_some() { slots * rooms } else { 0 }];
             return Self { likely: vec![alike; rooms], shared_s, flags, misses_resident: false };
         }
-        let likely = scores.rooms().iter().map(|room| room.probability).collect();
+        // Without an observed person the scores are of an unknown past; the sensors' forecast is of this home.
+        let likely = match forecast.filter(|_| scores.has(score_flags::NO_NARRATION)) {
+            Some(forecast) => forecast.now(),
+            None => scores.rooms().iter().map(|room| room.probability).collect(),
+        };
         let shared_s = forecast.map(|forecast| {
             let places = (0..slots).flat_map(|slot| (0..rooms).map(move |room| (slot, room)));
             places.map(|(slot, room)| stay_s * forecast.likely(room, (slot as f64 + 0.5) * stay_s)).collect()
@@ -187,6 +191,25 @@ mod tests {
         assert_eq!(in_sets(None, &scores, (BootNs(0), 2_000_000_000), 60.0), None, "there are none");
         sets.id[1] = text::encode("id", "attic").unwrap();
         assert_eq!(of(&sets, BootNs(0), 60.0), None, "they are of other rooms");
+    }
+
+    #[test]
+    fn the_forecast_of_sensors_counts_before_a_person_is_observed() {
+        let mut scores =
+            RoomScoresV1 { epoch: 1, room_count: 2, flags: score_flags::NO_NARRATION, ..Default::default() };
+        (scores.room[0].probability, scores.room[1].probability) = (0.5, 0.5);
+        let mut sent = ForecastV1 { epoch: 1, room_count: 2, horizon_count: 1, published_ns: 10, ..Default::default() };
+        for (room, id) in ["kitchen", "hall"].into_iter().enumerate() {
+            scores.room[room].id = text::encode("id", id).unwrap();
+            sent.id[room] = scores.room[room].id;
+        }
+        (sent.probability[0][0], sent.flags) = (1.0, forecast_flags::RESIDENT_UNKNOWN);
+        let likely = |sent: &ForecastV1| {
+            let forecast = Forecast::usable(Some(sent), &scores, BootNs(10), 1);
+            Outlook::new(&scores, forecast, 60.0, 1).likely
+        };
+        assert_eq!(likely(&sent), [1.0, 0.0]);
+        assert_eq!(likely(&ForecastV1 { flags: forecast_flags::NOT_KNOWN, ..sent }), [0.5, 0.5]);
     }
 
     /// The daemon sends a forecast again with each heartbeat.

@@ -110,13 +110,13 @@ class PersonFlags(enum.IntFlag):
 class ForecastFlags(enum.IntFlag):
     """Flags of a forecast."""
 
-    #: No person was observed: every room is equally likely.
+    #: No person was observed, and no sensor shows one: every room is equally likely.
     NOT_KNOWN = 1
     #: For at least one person, all events are from before the daemon's start.
     RESTORED = 2
     #: All known persons and residents are away now.
     NOBODY_HOME = 4
-    #: A resident was never observed: the probabilities do not include them, and they may be in any room.
+    #: A resident was never observed and may be in any room. Without sensors, the probabilities do not include them.
     RESIDENT_UNKNOWN = 8
     #: The scores have this flag: belief, stays and habits take the place of the model.
     UNFAMILIAR = 16

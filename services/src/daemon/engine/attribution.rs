@@ -64,7 +64,7 @@ pub(super) enum Reason {
     Outdated,
     #[strum(serialize = "several persons can have caused it: the belief about each of them changed a little")]
     Unclear,
-    #[strum(serialize = "the map lacks the room of this sensor, or there are too many sensors")]
+    #[strum(serialize = "the map lacks the room of this sensor, or there are too many sensors or persons")]
     NoSensor,
 }
 

@@ -172,11 +172,19 @@ impl Belief {
         self.seen.shrink_to(SEEN_KEPT);
     }
 
-    /// Advances the joint filter, and gives each forecaster its belief.
-    pub(super) fn track(&mut self, now_ns: BootNs) {
+    /// Advances the joint filter, and gives each forecaster its belief. Before the first observed person, the persons of the filter have
+    /// forecasters without a history.
+    pub(super) fn track(&mut self, grounding: &Grounding, now_ns: BootNs) {
         let Some(tracking) = &mut self.tracking else { return };
-        tracking.look(i64::try_from(now_ns.0).unwrap_or(i64::MAX), self.local_ahead_s);
+        let at_ns = i64::try_from(now_ns.0).unwrap_or(i64::MAX);
+        tracking.look(at_ns, self.local_ahead_s);
         self.told.retain(|person, _| self.followed.contains_key(person));
+        if self.followed.is_empty() && tracking.is_sensed() {
+            let new = follower(grounding, self.options, at_ns);
+            for person in tracking.persons() {
+                tracking.tell(*person, &new, self.told.entry(*person).or_insert_with(|| new.clone()));
+            }
+        }
         for (person, own) in &self.followed {
             let told = self.told.entry(*person).or_insert_with(|| own.clone());
             tracking.tell(*person, own, told);

@@ -72,7 +72,9 @@ impl<M: LanguageModel> Engine<M> {
             self.attribution.remember(understood);
             return (is_read_alone, moves);
         }
-        let is_unnamed = is_sensor || matches!(who, Who::Unknown(_)) && !own.by_fit;
+        // Before a person is known, the first one takes it.
+        let is_of_known = || !self.attribution.persons.followed().is_empty();
+        let is_unnamed = is_sensor || matches!(who, Who::Unknown(_)) && !own.by_fit && is_of_known();
         let is_of_anybody = is_weighed && is_of_anybody(&own.event, &who);
         let parts = match (weighed, &who) {
             (Weighed::Yes, Who::Unknown(count)) if is_unnamed => self.shares(&own, *count),
@@ -303,7 +305,9 @@ impl<M: LanguageModel> Engine<M> {
         let persons = &self.attribution.persons;
         let followed = persons.followed();
         let is_gone = |person| persons.get(person).is_none_or(|known| known.presence == Presence::Gone);
-        let is_idle = |person: &PersonId| is_gone(*person) && !followed.contains(person) && !has_part(*person);
+        let is_idle = |person: &PersonId| {
+            is_gone(*person) && !followed.contains(person) && !has_part(*person) && !tracking.is_nobody(*person)
+        };
         let idle: Vec<PersonId> = tracking.persons().iter().copied().filter(is_idle).collect();
         idle.into_iter().for_each(|person| tracking.remove(person));
     }
@@ -404,6 +408,9 @@ impl<M: LanguageModel> Engine<M> {
             self.drop_person(dropped);
         }
         self.scoring.rescore(observation.person);
+        if let Some(tracking) = &mut self.belief.tracking {
+            tracking.admit(observation.person);
+        }
         if let Event::Present(Some(room)) = &observation.event {
             self.map.note_room(room.as_str(), self.scoring.pipeline.grounding());
         }

@@ -20,6 +20,7 @@ use roomcast_ipc::text;
 
 use super::belief::Belief;
 use super::map_in_use::{NamedRooms, named_rooms};
+use super::tracking::Tracking;
 use super::{EngineError, HORIZONS_S, HomeHabits};
 use crate::daemon::persons::Persons;
 
@@ -114,11 +115,6 @@ impl Publication {
         (message.minor, message.flags) = (2, 0);
         let persons = || known_persons.iter().filter(|(_, known)| known.presence != Presence::Gone);
         let followed = belief.forecasters();
-        // A resident without an event may be anywhere, also out.
-        let not_known = belief.followed.is_empty() || known_persons.are_all_away() && known_persons.misses_residents();
-        if not_known {
-            message.flags |= forecast_flags::NOT_KNOWN;
-        }
         if persons().any(|(_, known)| known.restored) {
             message.flags |= forecast_flags::RESTORED;
         }
@@ -132,11 +128,18 @@ impl Publication {
         let others_out: f64 = untracked.iter().map(|own| own.elsewhere(now_s, 0.0)).product();
         let is_empty =
             tracker.map_or(known_persons.are_all_away(), |own| own.house_empty() * others_out >= SURELY_EMPTY);
-        if is_empty && !not_known {
-            message.flags |= forecast_flags::NOBODY_HOME;
-        }
-        if !not_known && known_persons.misses_residents() {
-            message.flags |= forecast_flags::RESIDENT_UNKNOWN;
+        // A resident without an event may be anywhere, also out. Sensors show the occupied rooms all the same, but no empty house.
+        let (nobody, misses) = (belief.followed.is_empty(), known_persons.misses_residents());
+        let not_known = match tracking.is_some_and(Tracking::is_sensed) {
+            true => is_empty && (nobody || misses),
+            false => nobody || misses && known_persons.are_all_away(),
+        };
+        for (is_so, flag) in [
+            (not_known, forecast_flags::NOT_KNOWN),
+            (is_empty && !not_known, forecast_flags::NOBODY_HOME),
+            ((nobody || misses) && !not_known, forecast_flags::RESIDENT_UNKNOWN),
+        ] {
+            message.flags |= if is_so { flag } else { 0 };
         }
         for (of_scores, flag) in [
             (score_flags::UNFAMILIAR, forecast_flags::UNFAMILIAR),

@@ -13,6 +13,7 @@ use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::tracker::{self, Home, Movement, Observation, Options, SensorSpec, Tracker};
 
+use super::super::persons::LATE_NS;
 use super::attribution::Reason;
 use super::map_in_use::room_named;
 use super::robots::Robots;
@@ -31,6 +32,8 @@ struct Last {
     report: Arc<SensorReport>,
     person: Option<PersonId>,
     at_ns: i64,
+    /// The log says that its reports disagree.
+    is_warned: bool,
 }
 
 /// A device: its narrator, its kind and its id. Two narrators may use the same id, and one device may see motion and presence.
@@ -53,8 +56,21 @@ impl Sensors {
         at_ns: i64,
     ) -> Result<(), Reason> {
         let device = device_of(source, report);
+        let mut is_warned = false;
         match self.0.get(&device) {
             Some(last) if last.at_ns > at_ns => return Err(Reason::Outdated),
+            Some(last) => {
+                let device = |own: &SensorReport| {
+                    (own.room.clone(), own.beyond.clone(), own.only_on, own.hold_s, own.false_alarms_per_day)
+                };
+                let differs = (device(&last.report), last.person) != (device(report), person);
+                is_warned = last.is_warned || differs;
+                if differs && !last.is_warned {
+                    let (kind, id, now, before) = (report.kind, &*report.id, report, &last.report);
+                    tracing::warn!(%kind, id, %now, %before, "the reports of a sensor disagree about its room, person or times: each change starts \
+                         the filter again; give each device its own id");
+                }
+            }
             None if self.0.len() >= SENSORS_MAX => return Err(Reason::NoSensor),
             _ => {}
         }
@@ -68,7 +84,7 @@ impl Sensors {
                 }
             }
         }
-        self.0.insert(device, Last { report: Arc::clone(report), person, at_ns });
+        self.0.insert(device, Last { report: Arc::clone(report), person, at_ns, is_warned });
         Ok(())
     }
 
@@ -96,6 +112,8 @@ pub(super) struct Tracking {
     now: Tracker,
     /// By the tracker's index.
     persons: Vec<PersonId>,
+    /// Nobody is known yet: the first person stands for the first one who will be.
+    is_unnamed: bool,
     sensors: Vec<(Device, SensorSpec)>,
     hour: u8,
     /// Until when the hours have passed.
@@ -150,6 +168,7 @@ impl Tracking {
             tracker,
             now,
             persons: Vec::new(),
+            is_unnamed: false,
             sensors: Vec::new(),
             hour,
             passed_s: at_s,
@@ -160,6 +179,9 @@ impl Tracking {
         };
         for person in persons {
             own.index_of(person);
+        }
+        if own.persons.is_empty() {
+            own.is_unnamed = own.index_of(PersonId(0)).is_some();
         }
         for (device, last) in &sensors.0 {
             // A person that is gone takes the devices along.
@@ -202,6 +224,18 @@ impl Tracking {
         let usual = self.tracker.usual(index, self.hour);
         self.tracker.set_movement(index, &usual);
         Some(index)
+    }
+
+    /// The first person who becomes known is the one whom the sensors saw before.
+    pub(super) fn admit(&mut self, person: PersonId) {
+        if !std::mem::take(&mut self.is_unnamed) {
+            return;
+        }
+        if self.persons.iter().skip(1).any(|other| *other == person) {
+            self.remove(self.persons[0]);
+        } else {
+            self.persons[0] = person;
+        }
     }
 
     /// The tracker's index of a device, which is added if it is new. `None` if the map lacks its room, or if the device changed.
@@ -281,6 +315,9 @@ impl Tracking {
         self.pass(at_s, local_ahead_s);
         // Persons and devices are added at the time of the event, with and without a look before it.
         self.tracker.advance(at_s);
+        if let Some(person) = said.who.filter(|_| !matches!(said.event, Event::Sensor(_))) {
+            self.admit(person);
+        }
         let who = match said.who {
             Some(person) => match self.index_of(person) {
                 Some(index) => Some(index),
@@ -293,6 +330,10 @@ impl Tracking {
         let observation = match said.event {
             Event::Sensor(report) => {
                 let Some(sensor) = self.sensor_of(home, (said.source, report), said.who) else { return false };
+                if self.is_older(at_ns, LATE_NS) {
+                    self.tracker.set_late(sensor, report.on);
+                    return true;
+                }
                 let room = self.sensors[sensor].1.room;
                 if let (Some(is_there), Some(room)) = (said.robot, room) {
                     let rooms = if is_there { &[room][..] } else { &[] };
@@ -371,6 +412,7 @@ impl Tracking {
 
     pub(super) fn remove(&mut self, person: PersonId) {
         if let Some(index) = self.persons.iter().position(|other| *other == person) {
+            self.is_unnamed &= index > 0;
             self.tracker.remove_person(index);
             self.now.remove_person(index);
             self.looked_ns = None;
@@ -394,6 +436,16 @@ impl Tracking {
     /// Whether a device or its person changed, so that the filter has to start again.
     pub(super) fn is_stale(&self) -> bool {
         self.is_stale
+    }
+
+    /// Whether a device has a state, so that the filter knows something also before a person is known.
+    pub(super) fn is_sensed(&self) -> bool {
+        (0..self.sensors.len()).any(|sensor| self.tracker.is_on(sensor).is_some())
+    }
+
+    /// Whether this number stands for the first person who will be known.
+    pub(super) fn is_nobody(&self, person: PersonId) -> bool {
+        self.is_unnamed && self.persons.first() == Some(&person)
     }
 
     pub(super) fn persons(&self) -> &[PersonId] {
@@ -462,5 +514,42 @@ impl Tracking {
 
     pub(super) fn now(&self) -> &Tracker {
         &self.now
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{self, Write};
+    use std::sync::Mutex;
+
+    use super::*;
+
+    #[derive(Debug, Clone, Default)]
+    struct Log(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Log {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.lock().unwrap().write(bytes)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_device_whose_reports_disagree_is_named_in_the_log_once() {
+        let (log, mut sensors) = (Log::default(), Sensors::default());
+        let copy = log.clone();
+        let subscriber = tracing_subscriber::fmt().with_writer(move || copy.clone()).with_ansi(false).finish();
+        tracing::subscriber::with_default(subscriber, || {
+            for (at_ns, room) in (0..).zip(["hall", "hall", "kitchen", "hall"]) {
+                let text = format!(r#"{{"sensor":"motion","id":"pir-7","room":"{room}","on":{}}}"#, at_ns % 2 == 0);
+                let report = Arc::new(SensorReport::parse(&text).unwrap());
+                sensors.note((1, &report), None, at_ns).unwrap();
+            }
+        });
+        let text = String::from_utf8(log.0.lock().unwrap().clone()).unwrap();
+        assert!(text.matches("disagree").count() == 1 && text.contains("pir-7"), "{text}");
     }
 }

@@ -919,3 +919,75 @@ fn persons_in_a_bed_are_asleep_after_a_silence_until_they_get_up() {
         assert!(!are_asleep(&mut own)[0], "{bed:?}");
     }
 }
+
+#[test]
+fn sensors_show_the_occupied_rooms_before_a_person_is_known() {
+    let rooms = ["living-room", "kitchen", "study", "bathroom", "bedroom", "corridor"];
+    let seen = |residents: &str, on: usize| {
+        let mut house = House::on(FLAT, residents);
+        let devices = rooms.map(|room| ("presence", room, room, ""));
+        devices.into_iter().for_each(|device| house.report(1, device, false));
+        devices.into_iter().take(on).for_each(|device| house.report(1, device, true));
+        house.play(if on > 0 { "600" } else { "36000" });
+        let likely = rooms.map(|room| house.at("somebody", room));
+        (house.engine.forecast(BootNs(house.now_ns)).flags, likely)
+    };
+    for residents in ["Jon, Mira", ""] {
+        let (flags, likely) = seen(residents, 2);
+        assert_eq!(flags, forecast_flags::RESIDENT_UNKNOWN, "{residents}");
+        assert!(likely[..2].iter().all(|p| *p > 0.8) && likely[2..].iter().all(|p| *p < 0.1), "{likely:?}");
+        // An empty house is no knowledge while a resident was not observed.
+        let (flags, likely) = seen(residents, 0);
+        assert!(flags == forecast_flags::NOT_KNOWN && likely == [1.0 / 6.0; 6], "{flags} {likely:?}");
+    }
+}
+
+#[test]
+fn the_first_unnamed_event_after_a_sensor_has_a_person() {
+    let mut house = House::on(FLAT, "");
+    house.report(1, ("presence", "living", "living-room", ""), false);
+    house.report(1, ALL[6], true);
+    assert_eq!(house.known(), 0, "a sensor alone invents no person");
+    house.play("1: A man is cooking in the kitchen. | ? 0 present");
+    assert_eq!((house.known(), house.last_understood().why), (1, None));
+    house.restart();
+    house.play("? 0 present | 60 Jon: They lie on the bed. | =  present, Jon present");
+}
+
+#[test]
+fn the_first_named_person_is_the_one_whom_the_sensors_saw() {
+    let mut house = House::on(FLAT, "");
+    for device in [ALL[6], ("presence", "living", "living-room", "")] {
+        house.report(1, device, false);
+    }
+    house.report(60, ALL[7], true);
+    house.play("60 Jon: present | ? Jon living-room > .8 | = Jon present | 1 corridor on | = Jon present");
+    house.restart();
+    house.play("= Jon present");
+}
+
+#[test]
+fn a_report_of_long_ago_sets_the_state_of_its_sensor_and_moves_nobody() {
+    let mut flat = flat("1 Jon: They sit on the sofa. | 1 Mira: They sit on the sofa. | 1 living on | 900");
+    let places = [("Jon", "kitchen"), ("Jon", "living-room"), ("Mira", "kitchen"), ("somebody", "kitchen")];
+    let before = places.map(|(who, room)| flat.at(who, room));
+    for (late_s, on) in [(880, true), (850, false), (600, true), (570, false), (300, true), (270, false)] {
+        flat.enter_late(late_s * S, &format!(r#"{{"sensor":"motion","id":"kitchen","room":"kitchen","on":{on}}}"#));
+    }
+    let after = places.map(|(who, room)| flat.at(who, room));
+    assert!(before.iter().zip(&after).all(|(a, b)| (a - b).abs() < 0.02), "{before:?} {after:?}");
+    flat.play("1 kitchen on | ? somebody kitchen > .5");
+}
+
+#[test]
+fn a_room_that_the_map_lacks_is_refused_before_a_correction() {
+    let mut house = House::on(FLAT, "Jon");
+    let mut ask = |room: &str| {
+        let room = room.to_owned();
+        answer_about_person(&mut house.engine, None, Ok(PersonQuestion::Room { room })).reason
+    };
+    assert_eq!(ask("kitchen"), None);
+    assert!(
+        ask("nowhere").is_some_and(|why| why.contains("no single room \"nowhere\": give") && why.contains("kitchen"))
+    );
+}
