@@ -2113,7 +2113,7 @@ fn planted_faults_are_found() {
         // Rare faults, and those of deleting the oldest events, need a long seed.
         let takes_long = planted.after_trim().is_some()
             || matches!(planted, Planted::SyncErrorsHidden | Planted::ReadsTwice | Planted::NoNamesAfterRestart);
-        let seeds: Vec<u64> = (0..4 * PLANTED_SEEDS).filter(|seed| is_long(*seed) == takes_long).collect();
+        let seeds: Vec<u64> = (0..40 * PLANTED_SEEDS).filter(|seed| is_long(*seed) == takes_long).collect();
         let found = seeds.par_iter().find_map_any(|seed| {
             let what = play(*seed, planted).err()?;
             what.lines().next().unwrap_or("").contains(violation).then_some(what)

@@ -284,7 +284,7 @@ pub(super) struct Tables {
     movements: Arc<Vec<Movement>>,
     /// While the sensed front doors are shut, and while one is open; `None` until the next step fills them.
     filled: Vec<Option<[Arc<Transitions>; 2]>>,
-    /// In place of those that are not filled yet.
+    /// The tables of a number before its first fill.
     none: Arc<Transitions>,
 }
 
@@ -323,7 +323,7 @@ impl Tables {
         self.filled.iter().all(Option::is_some)
     }
 
-    /// Fills what is not filled. `leak` is the share of the people who pass a shut door, per room with a way out.
+    /// Fills the missing tables. `leak` is the share of the people who pass a shut door, per room with a way out.
     pub(super) fn fill(&mut self, home: &Home, leak: &[f64]) {
         let (movements, filled) = (&self.movements, &mut self.filled);
         for number in 0..filled.len() {

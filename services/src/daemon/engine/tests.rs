@@ -407,7 +407,7 @@ fn a_restart_removes_the_same_persons_from_the_filter() {
     for (own, again) in before.persons().iter().zip(after.persons()) {
         for (own, again) in own.probability.iter().flatten().zip(again.probability.iter().flatten()) {
             // The database also has expectations.
-            assert!((own - again).abs() < 0.01, "{own} before, {again} after a restart");
+            assert!((own - again).abs() < 0.03, "{own} before, {again} after a restart");
         }
     }
 }
