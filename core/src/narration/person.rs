@@ -93,7 +93,7 @@ pub fn person_number(name: &str) -> PersonId {
 }
 
 /// Words that stand for any person.
-const NO_NAMES: &str = "nobody|no one|none|unknown|the|me|who|they|he|she|i|we|you|somebody|someone|everybody|everyone|all|the whole family|the entire family|\
+const NO_NAMES: &str = "nobody|me|who|they|he|she|i|we|you|somebody|someone|everybody|everyone|all|the whole family|the entire family|\
                         the whole household|they all|we all|all of them|all of us";
 
 /// Whether a name can be a person's: it has letters or digits, fits into a message, hides nothing, and is no number.
