@@ -119,7 +119,7 @@ pub fn read(
             "they" | "he" | "she" | "somebody" => Subject::Unknown,
             name => is_name(name).then(|| Subject::Named(name.to_owned()))?,
         };
-        // "Nobody is in the kitchen?" is a question.
+        // A question is no form.
         let is_plain =
             |room: &str| room.chars().all(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '\'' | '’' | '_'));
         let room = room.map(|room| (is_plain(room) && is_room(room)).then(|| RoomName::new(room).ok()).flatten());
@@ -176,7 +176,7 @@ pub fn near_miss(text: &str) -> Option<&'static Form> {
     nearest(true).or_else(|| nearest(false).filter(|_| is_single)).map(|(form, _)| form)
 }
 
-/// Whether a text says that nobody is there, or that a person is not there: "There is no one in the kitchen.", "an empty kitchen", "Ada is not home."
+/// Whether a text reports an absence: "There is no one in the kitchen.", "an empty kitchen", "Ada is not home."
 /// Such a text is about no person. `is_room` knows the rooms of the map.
 pub fn says_nobody(text: &str, is_room: impl Fn(&str) -> bool) -> bool {
     const NOBODY: &str =

@@ -372,7 +372,7 @@ impl Tracking {
                     self.tracker.observe(at_s, &Observation::Present { who: Some(who), room: Some(room) }, trust);
                 }
             }
-            // Nobody can count more persons than there are, and a visitor.
+            // At most all of them, and a visitor.
             let persons = persons.min(1 + self.persons.len());
             self.tracker.observe(at_s, &Observation::Count { room, persons }, trust);
         }
