@@ -1,7 +1,7 @@
 //! Small values that outlive a process, in a separate SQLite database: a table for each value, with a row of JSON for each field.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use roomcast_database::rusqlite::params;
 use roomcast_database::{Connection, Database, DatabaseError, Schema, WAL_BYTES_MAX, rusqlite};
@@ -90,7 +90,7 @@ impl Kept {
 
 /// The value in a table of another process's database.
 #[cfg(any(feature = "mqtt", test))]
-pub(crate) fn read<T: DeserializeOwned>(path: &Path, table: &str) -> Option<T> {
+pub(crate) fn read<T: DeserializeOwned>(path: &std::path::Path, table: &str) -> Option<T> {
     let fields = rows(&roomcast_database::look(path).ok()?, table).ok()??;
     serde_json::from_value(Value::Object(fields)).ok()
 }

@@ -66,7 +66,7 @@ pub(super) fn run(args: &FamiliarityArgs) -> CommandResult {
     for split in &args.split {
         let programs = manifest.split(programs.clone(), split)?;
         let (mut text, mut all) = (head(&format!("Next room, nats: {split} split")), Vec::new());
-        for replaced in [Replaced::Nothing, Replaced::Things, Replaced::Everything] {
+        for replaced in [Replaced::Newest, Replaced::Nothing, Replaced::Things, Replaced::Everything] {
             let mut own = Vec::new();
             for (map, grounding) in &maps {
                 let mut source = args.model.source(grounding)?;
@@ -79,7 +79,8 @@ pub(super) fn run(args: &FamiliarityArgs) -> CommandResult {
                 )?);
             }
             text += &row(&format!("replaced: {replaced:?}").to_lowercase(), &own);
-            all.extend(own);
+            // The bins are by the whole window.
+            all.extend(own.into_iter().filter(|_| replaced != Replaced::Newest));
         }
         for edges in EDGES.windows(2) {
             let is_in = |case: &&Case| (edges[0]..edges[1]).contains(&case.tokens_per_byte);

@@ -1,8 +1,8 @@
 //! How much weight the model's scores deserve after a text, by the text's tokens per byte.
 //!
 //! Cases are those of [`super::prediction`], with the nearest things. The words of a program's sentences are replaced by invented ones: none, those of
-//! the things, or all. The true next room stays known. So the weight that gives it the highest probability can be read off for each number of tokens
-//! per byte, where the rest of the weight goes to the room that the person is believed to be in.
+//! the things, all, or all of the last sentence. The true next room stays known. So the weight that gives it the highest probability can be read off
+//! for each number of tokens per byte, where the rest of the weight goes to the room that the person is believed to be in.
 
 use std::collections::BTreeMap;
 
@@ -32,6 +32,8 @@ pub enum Replaced {
     Things,
     /// All words.
     Everything,
+    /// All words of the last sentence. The belief knows the sentences before it.
+    Newest,
 }
 
 /// One case: what model and belief gave the true next room.
@@ -121,7 +123,7 @@ fn replace(sentence: &str, things: &[String], replaced: Replaced) -> String {
     match replaced {
         Replaced::Nothing => sentence.to_owned(),
         Replaced::Things => things.iter().fold(sentence.to_owned(), |text, thing| text.replace(thing, &invent(thing))),
-        Replaced::Everything => invent(sentence.trim_end_matches('.')) + ".",
+        Replaced::Everything | Replaced::Newest => invent(sentence.trim_end_matches('.')) + ".",
     }
 }
 
@@ -151,23 +153,37 @@ pub fn losses<M: LanguageModel>(
         binder.begin(1, &path.file_stem().unwrap_or_default().to_string_lossy());
         let cases = cases(program, &mut binder, grounding, &mut LeftOut::default());
         let steps = &program.steps[..cases.last().map_or(0, |case| case.done)];
-        let mut said = Vec::with_capacity(steps.len());
+        let (mut said, mut newest) = (Vec::with_capacity(steps.len()), Vec::with_capacity(steps.len()));
         for (step, sentence) in steps.iter().zip(sentences(steps)?) {
             let things: Vec<String> = step.objects().iter().map(|object| object.words()).collect();
-            said.push(Sentence::new(&replace(sentence.as_str(), &things, replaced))?);
+            newest.push(Sentence::new(&replace(sentence.as_str(), &things, replaced))?);
+            said.push(if replaced == Replaced::Newest { sentence } else { newest[said.len()].clone() });
         }
         let rows = source.score_steps(&said, limits, &binding)?;
         let mut forecaster = Forecaster::new(grounding.partitions().len(), ForecastOptions::default(), 0.0);
         let (mut window, mut at_s, mut heard) = (History::new(limits), 0.0, 0);
+        let add = |window: &mut History, text: &Sentence, source: &ScoreSource<M>| {
+            let (tokens, _) = measure(source.language_model(), [text.as_str()].into_iter());
+            window.push(Observation::of(0, text.clone()), tokens + 1);
+        };
         for case in &cases {
+            let mut before = None;
             for at in heard..case.done {
                 at_s += steps[at].entry().duration_s;
+                before = (replaced == Replaced::Newest).then(|| (forecaster.clone(), window.clone()));
                 forecaster.observe(at_s, mentions.last(said[at].as_str()), grounding, &[]);
                 forecaster.expect_next(grounding, &rows[at + 1], 1.0, 0);
-                let (tokens, _) = measure(source.language_model(), [said[at].as_str()].into_iter());
-                window.push(Observation::of(0, said[at].clone()), tokens + 1);
+                add(&mut window, &said[at], source);
             }
             heard = case.done;
+            let (mut forecaster, mut window) = (forecaster.clone(), window.clone());
+            if let Some(known) = before {
+                (forecaster, window) = known;
+                let last = &newest[heard - 1];
+                add(&mut window, last, source);
+                forecaster.observe(at_s, mentions.last(last.as_str()), grounding, &[]);
+                forecaster.expect_next(grounding, &source.score(window.sentences(), &binding)?, 1.0, 0);
+            }
             let (Some(room), Some(expected)) = (case.room, forecaster.expected()) else { continue };
             let (tokens, bytes) = measure(source.language_model(), window.sentences());
             found.push(Case {
