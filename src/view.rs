@@ -268,8 +268,8 @@ trait Shown {
     /// The plan of the map in use.
     fn plan(&mut self) -> Option<Value>;
     /// The rooms of the last seven days.
-    fn week(&self) -> &[PersonDay] {
-        &[]
+    fn week(&self) -> Vec<PersonDay> {
+        Vec::new()
     }
     /// Takes a person's order for the robot.
     ///
@@ -373,8 +373,9 @@ impl Shown for Live {
         self.plan.as_ref().map(|plan| plan.drawing.clone())
     }
 
-    fn week(&self) -> &[PersonDay] {
-        &self.week
+    fn week(&self) -> Vec<PersonDay> {
+        let name_of = |said: &str| self.plan.as_ref()?.name_of(said);
+        self.week.iter().map(|day| day.named(name_of)).collect()
     }
 
     fn order(&mut self, kind: &str, room: Option<(&str, &str)>, for_s: Option<&str>) -> Result<(), String> {

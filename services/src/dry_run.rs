@@ -153,7 +153,11 @@ impl DryRun {
     /// When a step fails.
     pub fn take(&mut self, item: &Item) -> Result<Option<DryLine>, DryRunError> {
         let Ok(event) = event_of(item.kind, &item.text) else { return Ok(None) };
+        if self.sequence == 0 {
+            self.unix_ns = item.observed_unix_ns.unwrap_or(self.unix_ns);
+        }
         let apart_ns = item.observed_unix_ns.map_or(APART_S * 1_000_000_000, |at_ns| at_ns.since(self.unix_ns));
+        let late_ns = item.observed_unix_ns.map_or(0, |at_ns| self.unix_ns.since(at_ns));
         (self.sequence, self.now_ns) = (self.sequence + 1, self.now_ns + apart_ns);
         self.unix_ns = self.unix_ns + apart_ns;
         let (person, name) = match &item.person {
@@ -166,8 +170,8 @@ impl DryRun {
             name,
             source: self.source,
             epoch: 1,
-            observed_ns: self.now_ns,
-            observed_unix_ns: self.unix_ns,
+            observed_ns: BootNs(self.now_ns.0.saturating_sub(late_ns)),
+            observed_unix_ns: UnixNs(self.unix_ns.0.saturating_sub(late_ns)),
             count: item.count,
             may_be_form: ![narration_kind::ACTION, narration_kind::DEVICE].contains(&item.kind),
             ..Observation::saying(self.sequence, event)
@@ -253,6 +257,19 @@ mod tests {
             let said = shown(line);
             assert!(said.contains(part), "{said}");
         }
+    }
+
+    #[test]
+    fn a_dry_run_drops_a_line_that_is_too_late() {
+        let map = SemanticMap::from_json(include_str!("../../scenes/flat.json")).unwrap();
+        let persons = Persons::new(PersonsConfig::default(), PersonsFile::default());
+        let mut dry_run = DryRun::of(map, &Config::default(), persons, UnixNs(2_000_000_000_000_000_000)).unwrap();
+        let why = [900, 1_000, 700].map(|at_s| {
+            let line = format!(r#"{{"person": "Ada", "text": "They open the fridge.", "observed_unix_s": {at_s}}}"#);
+            dry_run.take(&line_item(&line, &Who::Somebody).unwrap()).unwrap().unwrap().understood.why
+        });
+        let late = "a later event of this person or device says otherwise";
+        assert_eq!(why, [None, None, Some(late.to_owned())]);
     }
 
     #[test]

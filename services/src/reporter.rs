@@ -107,11 +107,15 @@ pub enum ReporterError {
         /// The remedy.
         remedy: &'static str,
     },
-    /// A report of this kind must not have `for_s`.
-    #[error("a report of the kind {kind} has no `for_s`: give it with hold")]
-    NoHold {
+    /// A report of this kind must not have a key.
+    #[error("a report of the kind {kind} has no `{key}`: {remedy}")]
+    Useless {
         /// The kind.
         kind: Kind,
+        /// The key.
+        key: &'static str,
+        /// The remedy.
+        remedy: &'static str,
     },
     /// The time of a hold is outside its limits.
     #[error("`for_s` of a hold is {0}: give 1 to 1000000000 seconds")]
@@ -191,8 +195,12 @@ impl Reporter {
             Kind::Clean | Kind::Skip if report.room.is_none() => return missing("room", "give the id of a room"),
             _ => {}
         }
+        let useless = |key, remedy| Err(ReporterError::Useless { kind: report.kind, key, remedy });
+        if matches!(report.kind, Kind::Hold | Kind::Resume) && report.room.is_some() {
+            return useless("room", "it is about the whole robot; `skip` leaves out a room");
+        }
         match report.for_s {
-            Some(_) if report.kind != Kind::Hold => return Err(ReporterError::NoHold { kind: report.kind }),
+            Some(_) if report.kind != Kind::Hold => return useless("for_s", "give it with hold"),
             Some(for_s) if !(1.0..=1e9).contains(&for_s) => return Err(ReporterError::HoldTime(for_s)),
             _ => {}
         }
@@ -247,6 +255,9 @@ mod tests {
         let line = r#"{"report": "hold", "for_s": 60, "note": "meeting"}"#;
         let hold = reporter.message(&Report::parse(line).unwrap(), BootNs(5), UnixNs(1_000_000_000)).unwrap();
         assert_eq!((hold.kind, hold.until_unix_ns, hold.note()), (report_kind::HOLD, 61_000_000_000, "meeting"));
+        let of_a_room = Report { room: Some("kitchen".to_owned()), ..Report::new(Kind::Hold) };
+        let fault = reporter.message(&of_a_room, BootNs(5), UnixNs(6)).unwrap_err().to_string();
+        assert!(fault.contains("hold has no `room`"), "{fault}");
         let resume = reporter.message(&Report::new(Kind::Resume), BootNs(5), UnixNs(6)).unwrap();
         assert!(resume.is_order() && resume.until_unix_ns == 0);
         for (line, part) in [

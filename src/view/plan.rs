@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use roomcast_core::grounding::{Partition, partition_named};
 use roomcast_core::semantic_map::{SceneError, SemanticMap, Storey, Storeys};
 use roomcast_services::moment::{Moment, MomentError};
 use serde_json::{Value, json};
@@ -18,26 +19,38 @@ pub(super) struct Plan {
     /// The names of its partitions, by id.
     pub(super) names: BTreeMap<String, String>,
     pub(super) drawing: Value,
+    scene: SemanticMap,
+    partitions: Vec<Partition>,
+}
+
+fn key_of(fingerprint: &str, level: &str) -> String {
+    format!("{fingerprint}-{level}")
 }
 
 impl Plan {
     /// The page's key for the plan.
     pub(super) fn key(&self) -> String {
-        format!("{}-{}", self.map, self.level)
+        key_of(&self.map, self.level)
+    }
+
+    /// The name of the room that a narrator calls so; `None` if the map has no single room of this name.
+    pub(super) fn name_of(&self, said: &str) -> Option<String> {
+        self.names.get(&partition_named(said, &self.scene, &self.partitions)?.id).cloned()
     }
 
     pub(super) fn of_moment(moment: &Moment) -> Result<Self, MomentError> {
         let explained = SemanticMap::from_json(&moment.scene.to_string());
-        Self::of_map(&explained.map_err(MomentError::Scene)?, moment).map_err(MomentError::Scene)
+        Self::of_map(explained.map_err(MomentError::Scene)?, moment).map_err(MomentError::Scene)
     }
 
-    fn of_map(map: &SemanticMap, moment: &Moment) -> Result<Self, SceneError> {
+    fn of_map(scene: SemanticMap, moment: &Moment) -> Result<Self, SceneError> {
+        let map = &scene;
         let metres = |value: f64| (value * 1e3).round() / 1e3;
         let point = |[x, y]: [f64; 2]| json!([metres(x), metres(y)]);
         let partitions = roomcast_core::grounding::partitions(map, moment.grounding.level);
         let names = roomcast_core::grounding::partition_names(&partitions);
         let storeys = Storeys::of(map);
-        let room = |(partition, name): (&roomcast_core::grounding::Partition, &String)| {
+        let room = |(partition, name): (&Partition, &String)| {
             let rings = partition.spaces.iter().flat_map(|space| storeys.moved_space(space).rings());
             let rings: Vec<Vec<Value>> = rings.map(|ring| ring.into_iter().map(point).collect()).collect();
             json!({"id": partition.id, "name": name, "rings": rings})
@@ -57,19 +70,14 @@ impl Plan {
         let storey = |own: &Storey| json!({"name": own.name(), "at": point([own.min_m[0], own.max_m[1]])});
         let named = storeys.all().iter().filter(|_| storeys.all().len() > 1);
         let rooms: Vec<Value> = partitions.iter().zip(&names).map(room).collect();
-        let names = partitions.iter().map(|partition| partition.id.clone()).zip(names);
-        let mut plan = Self {
-            map: moment.map_fingerprint.clone(),
-            level: moment.grounding.level.into(),
-            names: names.collect(),
-            drawing: Value::Null,
-        };
-        plan.drawing = json!({
-            "map": plan.key(), "name": map.name(),
+        let names = partitions.iter().map(|partition| partition.id.clone()).zip(names).collect();
+        let (fingerprint, level) = (moment.map_fingerprint.clone(), moment.grounding.level.into());
+        let drawing = json!({
+            "map": key_of(&fingerprint, level), "name": map.name(),
             "rooms": rooms,
             "storeys": named.map(storey).collect::<Vec<_>>(), "doors": doors.collect::<Vec<_>>(), "items": map.items().iter().map(item).collect::<Vec<_>>(),
         });
-        Ok(plan)
+        Ok(Self { map: fingerprint, level, names, drawing, scene, partitions })
     }
 
     pub(super) fn name(&self, state: &mut Value) {

@@ -119,6 +119,7 @@ fn page() -> String {
                 "first a visitor is dropped; without visitors, the narrator with most persons loses the one silent longest",
             ),
             ("unknown persons in one event", &narration::forms::COUNT_MAX, "refused"),
+            ("sensors", &daemon::SENSORS_MAX, "the narrator with most loses the one silent longest"),
             ("events that the daemon can explain to narrators", &daemon::UNDERSTOOD_MAX, "the oldest is forgotten"),
             ("numbers that a source skips at once", &sequence::JUMP_MAX, "dropped and counted"),
             (

@@ -293,6 +293,22 @@ impl Tracker {
     /// # Errors
     /// [`TrackerError::Unknown`] for a room or person that does not exist.
     pub fn add_sensor(&mut self, spec: SensorSpec) -> Result<usize, TrackerError> {
+        self.put_sensor(self.sensors.len(), spec)?;
+        Ok(self.sensors.len() - 1)
+    }
+
+    /// Puts another sensor in the place of one. What was learned of that one is forgotten. As [`Tracker::add_sensor`] otherwise.
+    ///
+    /// # Errors
+    /// As [`Tracker::add_sensor`], and for a sensor that does not exist.
+    pub fn replace_sensor(&mut self, sensor: usize, spec: SensorSpec) -> Result<(), TrackerError> {
+        if sensor >= self.sensors.len() {
+            return Err(TrackerError::Unknown { what: "sensor", index: sensor });
+        }
+        self.put_sensor(sensor, spec)
+    }
+
+    fn put_sensor(&mut self, index: usize, spec: SensorSpec) -> Result<(), TrackerError> {
         for room in [spec.room, spec.beyond].into_iter().flatten() {
             if room >= self.home.rooms() {
                 return Err(TrackerError::Unknown { what: "room", index: room });
@@ -302,12 +318,17 @@ impl Tracker {
             Some(person) => Some(self.slot(person).ok_or(TrackerError::Unknown { what: "person", index: person })?),
             None => None,
         };
-        self.sensors.push(Sensor::new(spec, slot));
-        self.trace.add_sensor();
-        if spec.kind == SensorKind::Door && spec.beyond.is_none() {
+        let is_front = |spec: &SensorSpec| spec.kind == SensorKind::Door && spec.beyond.is_none();
+        let was_front = self.sensors.get(index).is_some_and(|former| is_front(&former.spec));
+        match self.sensors.get_mut(index) {
+            Some(former) => *former = Sensor::new(spec, slot),
+            None => self.sensors.push(Sensor::new(spec, slot)),
+        }
+        self.trace.put_sensor(index);
+        if is_front(&spec) || was_front {
             self.tables.reset(&self.home);
         }
-        Ok(self.sensors.len() - 1)
+        Ok(())
     }
 
     /// Whether a sensed front door is open now.

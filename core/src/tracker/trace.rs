@@ -79,8 +79,10 @@ impl Trace {
         Self { columns: rooms + 1, flips: Vec::new(), ring: Vec::with_capacity(RING), next: 0, last: [0.0; SLOTS_MAX] }
     }
 
-    pub(super) fn add_sensor(&mut self) {
-        self.flips.push([None, None]);
+    /// A new sensor, perhaps in the place of another.
+    pub(super) fn put_sensor(&mut self, sensor: usize) {
+        self.flips.resize(self.flips.len().max(sensor + 1), [None, None]);
+        self.flips[sensor] = [None, None];
     }
 
     /// Forgets all observations: the numbers of persons changed.

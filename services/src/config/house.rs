@@ -73,6 +73,12 @@ fn weekday(day: i64) -> usize {
     usize::try_from((day + 3).rem_euclid(7)).unwrap_or_default()
 }
 
+/// The name of a day that is counted from 1 January 1970.
+#[must_use]
+pub fn weekday_name(day: i64) -> &'static str {
+    ["Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday"][weekday(day)]
+}
+
 /// The hour and minute of a local time, as a clock shows them.
 #[must_use]
 pub fn clock_time(local_s: f64) -> String {

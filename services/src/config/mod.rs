@@ -31,7 +31,7 @@ use crate::embedded;
 mod house;
 mod sections;
 
-pub use house::{OnlyWhen, QUIET_MAX, QuietHours, RoomNeeds, WhileAsleep, clock_time, is_room};
+pub use house::{OnlyWhen, QUIET_MAX, QuietHours, RoomNeeds, WhileAsleep, clock_time, is_room, weekday_name};
 pub use sections::{
     BridgeConfig, DaemonConfig, Forced, HabitsConfig, IntakeLimits, KnownNarrator, May, MetricsConfig, MqttConfig,
     NarratorConfig, OnPause, PersonsConfig, PlannerConfig, Reports, RobotConfig, RobotKind,
@@ -598,7 +598,7 @@ impl Config {
             row("daemon.narrator.trust", &trust, known.iter().all(|known| (1..=100).contains(&known.trust)), "give 1 to 100"),
             row("daemon.narrator.share", &share, known.iter().all(|known| (1..=100).contains(&known.share)), "give 1 to 100"),
             row("daemon.narrator.rate_per_s", &rates, known.iter().all(|known| known.rate_per_s.is_none_or(is_rate)), "give 0 (no limit) or more"),
-            row("persons.residents", &residents, persons.residents.len() <= PERSONS_MAX && persons.residents.iter().all(is_person) && each_name_once, &format!("give each name or number once, at most {PERSONS_MAX} (\"Zoë\" and \"Zoe\" are one); a name is {plain}, with a letter or digit")),
+            row("persons.residents", &residents, persons.residents.len() <= PERSONS_MAX && persons.residents.iter().all(is_person) && each_name_once, &format!("give each name or number once, at most {PERSONS_MAX} (\"Zoë\" and \"Zoe\" are one); a name is {plain}, with a letter or digit, and no word such as \"they\"")),
             row("persons.not_persons", &not_persons, persons.not_persons.len() <= NOT_PERSONS_MAX && are_no_residents, &format!("give at most {NOT_PERSONS_MAX} names that no resident has, {plain}")),
             within("persons.visitor_s", persons.visitor_s, 1.0..=SECONDS_MAX),
             within("persons.asleep_s", persons.asleep_s, seconds.clone()),
@@ -690,6 +690,15 @@ mod tests {
         let config: Config = toml::from_str(text).unwrap();
         config.check().unwrap();
         assert_eq!((config.planner.quiet.len(), config.planner.room.len()), (2, 2));
+    }
+
+    #[test]
+    fn of_two_names_of_a_room_the_one_that_excludes_it_counts() {
+        let text =
+            "[[planner.room]]\nid = \"Study\"\nevery_s = 60.0\n[[planner.room]]\nid = \"study\"\nexclude = true\n";
+        let config: Config = text.parse().unwrap();
+        let excludes = |id| config.planner.needs_of(id).map(|room| room.exclude);
+        assert_eq!([excludes("study"), excludes("Study"), excludes("hall")], [Some(true), Some(true), None]);
     }
 
     #[test]

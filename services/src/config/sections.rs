@@ -312,11 +312,11 @@ impl PlannerConfig {
         quiet.chain(self.room.iter_mut().map(|room| ("planner.room.id", &mut room.id)))
     }
 
-    /// The needs of a room; `None` without an entry.
+    /// The needs of a room; `None` without an entry. Of several names of one room, one that excludes it counts, then the id.
     #[must_use]
     pub fn needs_of(&self, id: &str) -> Option<&RoomNeeds> {
-        let exact = self.room.iter().find(|room| room.id == id);
-        exact.or_else(|| self.room.iter().find(|room| is_room(&room.id, id)))
+        let own = || self.room.iter().filter(|room| is_room(&room.id, id));
+        own().find(|room| room.exclude).or_else(|| own().find(|room| room.id == id)).or_else(|| own().next())
     }
 }
 

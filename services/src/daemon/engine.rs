@@ -33,6 +33,7 @@ use scored::Scoring;
 use ways_out::ways_out;
 
 pub use scored::PreparedTally;
+pub use tracking::SENSORS_MAX;
 
 mod attribution;
 mod belief;

@@ -69,7 +69,7 @@ mod zone;
 
 pub use asked::{ANSWERS_REMEMBERED, QUESTION_NAME_BYTES_MAX};
 pub use cycle::Cycle;
-pub use engine::{Engine, EngineError, Entry, MapError};
+pub use engine::{Engine, EngineError, Entry, MapError, SENSORS_MAX};
 pub use habits::{HomeHabits, Memory};
 pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, VisitsLine};
 pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};

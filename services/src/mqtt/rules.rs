@@ -407,7 +407,7 @@ impl Rule {
             return Err("field is a JSON pointer and begins with a slash, as in \"/state\"".to_owned());
         }
         let names_a_room = captures.iter().flatten().any(|named| named.name == "room");
-        let places = topic.split('/').filter(|level| *level == "+").count();
+        let places = captures.iter().filter(|named| named.is_none()).count();
         // The room in the topic is the room of the event, if the rule gives no other.
         let is_placed = sensor.is_some() || presence.is_some();
         let room = keys.room.as_deref().or((names_a_room && is_placed).then_some("{room}"));
@@ -520,7 +520,10 @@ impl Rule {
             text
         };
         let value_of = |name: &str| match name.parse::<usize>() {
-            Ok(number) => places.get(number.wrapping_sub(1)).map(|place| place.replace('_', " ")).unwrap_or_default(),
+            Ok(number) => {
+                let mut unnamed = self.named.iter().zip(places).filter(|(named, _)| named.is_none());
+                unnamed.nth(number.wrapping_sub(1)).map(|(_, place)| place.replace('_', " ")).unwrap_or_default()
+            }
             Err(_) if name.starts_with('/') => of_payload(at(name).unwrap_or_default()),
             Err(_) if self.place_of(name).is_some() => {
                 let place = self.place_of(name).and_then(|place| places.get(place));

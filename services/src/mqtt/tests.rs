@@ -1521,6 +1521,11 @@ fn one_rule_covers_many_sensors_and_takes_the_room_from_the_topic() {
     assert_eq!(hear(&mut listener, "zigbee2mqtt/_motion", r#"{"occupancy": true}"#, false), None);
     let lamp = hear(&mut listener, "upstairs/bath/lamp", "on", false).unwrap();
     assert!(lamp.contains("They turn on the lamp in the bath."), "{lamp}");
+    let mixed = "[[rule]]\ntopic = \"w/{room}/+/x/+\"\nsay = \"They open the {2} and the {1} in the {room}.\"\n";
+    let mut listener = Listener::new(Rules::parse(mixed).unwrap());
+    let said = hear(&mut listener, "w/hall/lamp/x/fridge", "on", false).unwrap();
+    assert!(said.contains("They open the fridge and the lamp in the hall."), "{said}");
+    assert!(Rules::parse(&mixed.replace("{2}", "{3}")).is_err(), "only + has a number");
     for (topic, fault) in [
         ("a/{room", "not closed"),
         ("a/{Room}", "no name for a part of the topic"),

@@ -20,8 +20,8 @@ impl Planner {
             return Ok(Next::Pause { why, reason });
         }
         let is_open = |room: usize| taken.get(room) != Some(&true) && !self.round.rests(room, now_ns);
-        let asked = rules.iter().position(|verdict| verdict.is_asked && verdict.reason.is_none());
-        if let Some(room) = asked.filter(|room| is_open(*room)) {
+        let is_asked = |room: &usize| rules[*room].is_asked && rules[*room].reason.is_none() && is_open(*room);
+        if let Some(room) = (0..rules.len()).find(is_asked) {
             return Ok(Next::Go { room, reason: "A person asked for this room.".to_owned(), flags: 0 });
         }
         let against: Vec<bool> = rules.iter().map(|verdict| verdict.reason.is_some()).collect();

@@ -48,7 +48,8 @@ impl Interruption {
     pub(super) fn move_rooms(&mut self, rooms: usize, before: impl Fn(usize) -> Option<usize>) {
         let held = |room: usize| before(room).and_then(|old| self.held.get(old).copied()).unwrap_or(false);
         self.held = (0..rooms).map(held).collect();
-        self.stay = None;
+        let after = |old: usize| (0..rooms).find(|room| before(*room) == Some(old));
+        self.stay = self.stay.and_then(|(room, came)| Some((after(room)?, came)));
     }
 
     /// Begins another stay, or none. The planner knew about a person in the room at the start.
@@ -142,6 +143,16 @@ mod tests {
         // A person already known in the room when the robot was sent does not interrupt.
         robot.new_stay(Some((1, 0.98)));
         assert!(!robot.look(BootNs(4 * S), &[0.0, 0.98], Some(1)) && !robot.look(BootNs(9 * S), &[0.0, 0.98], Some(1)));
+    }
+
+    #[test]
+    fn a_person_who_came_before_a_change_of_the_map_interrupts_after_it() {
+        let mut robot = interruption(2);
+        robot.look(BootNs(0), &[0.0, 0.0], Some(1));
+        robot.look(BootNs(S), &[0.0, 0.9], Some(1));
+        // A new room comes first.
+        robot.move_rooms(3, |room| room.checked_sub(1));
+        assert!(robot.look(BootNs(4 * S), &[0.0, 0.0, 0.9], Some(2)) && robot.held()[2]);
     }
 
     #[test]

@@ -17,7 +17,8 @@ use std::time::Duration;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use roomcast_ipc::raw::{
-    DecisionV1, ForecastV1, NAME_BYTES, PersonForecastsV1, RoomScoresV1, RoomV1, action, decision_flags, score_flags,
+    DecisionV1, ForecastV1, NAME_BYTES, PersonForecastsV1, REASON_TEXT_BYTES, RoomScoresV1, RoomV1, action,
+    decision_flags, score_flags,
 };
 use roomcast_ipc::{sequence, text};
 
@@ -167,6 +168,14 @@ fn in_sentences(text: &str) -> String {
             said.push(begun);
         }
     }
+    // The policy's numbers come last. Sentences that do not fit are left out whole.
+    let mut end = said.first().map_or(0, String::len);
+    let fits = |sentence: &&String| {
+        end += 1 + sentence.len();
+        end <= REASON_TEXT_BYTES
+    };
+    let fitting = said.iter().skip(1).take_while(fits).count();
+    said.truncate(1 + fitting);
     said.join(" ")
 }
 

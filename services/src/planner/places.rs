@@ -10,7 +10,7 @@ use super::facts::Near;
 pub(super) struct Places {
     map: SemanticMap,
     partitions: Vec<Partition>,
-    /// The daemon that has scored exactly this map. If it changes the map later, the remaining rooms keep their places.
+    /// The daemon that has scored this map, or one with the same rooms. If it changes its rooms later, the remaining ones keep their places.
     epoch: Option<u64>,
 }
 
@@ -21,7 +21,10 @@ impl Places {
     }
 
     pub(super) fn see(&mut self, scores: &RoomScoresV1) {
-        if self.map.fingerprint() == scores.map_fingerprint {
+        let rooms = scores.rooms().iter().map(RoomV1::id);
+        if self.map.fingerprint() == scores.map_fingerprint
+            || rooms.eq(self.partitions.iter().map(|own| own.id.as_str()))
+        {
             self.epoch = Some(scores.epoch);
         }
     }

@@ -25,8 +25,8 @@ pub enum ReportFault {
     },
     /// The planner's scene is not the daemon's.
     #[error(
-        "the robot reports a position, and the planner's scene is not the map that the daemon uses: \
-         give the planner the same scene.path, or name the room in the report"
+        "the robot reports a position, and the planner's scene has other rooms than the map that the daemon uses: \
+         give the planner the same scene.path, with the rooms of a changed map, or name the room in the report"
     )]
     OtherMap,
     /// An order to clean or skip a room lacks the room.

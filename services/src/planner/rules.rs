@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::config::{OnlyWhen, PlannerConfig, clock_time};
+use crate::config::{OnlyWhen, PlannerConfig, clock_time, weekday_name};
 use crate::slug::room_name;
 
 /// A set of rooms by their places in the scores: bit i is room i.
@@ -93,6 +93,8 @@ pub enum Reason {
         why: String,
         /// The local time of the end.
         until_s: Option<f64>,
+        /// The local time now.
+        now_s: f64,
     },
     /// A person sleeps near.
     Asleep {
@@ -164,6 +166,16 @@ impl Reason {
     }
 }
 
+/// A time after another: "until 14:30", "until Wednesday 14:30", "for 12 days".
+fn until(until_s: f64, now_s: f64) -> String {
+    let day = |at_s: f64| (at_s / 86_400.0).floor() as i64;
+    match day(until_s) - day(now_s) {
+        ..=0 => format!("until {}", clock_time(until_s)),
+        1..=6 => format!("until {} {}", weekday_name(day(until_s)), clock_time(until_s)),
+        days => format!("for {days} days"),
+    }
+}
+
 /// Names as a list: "Mira", "Mira and Ben", "Mira, Ben and Cem".
 fn listed(names: &[String]) -> String {
     match names {
@@ -183,9 +195,9 @@ fn more(seconds: f64) -> String {
 impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Held { why, until_s } => {
+            Self::Held { why, until_s, now_s } => {
                 f.write_str("On hold")?;
-                until_s.iter().try_for_each(|until_s| write!(f, " until {}", clock_time(*until_s)))?;
+                until_s.iter().try_for_each(|until_s| write!(f, " {}", until(*until_s, *now_s)))?;
                 if why.is_empty() { f.write_str(".") } else { write!(f, ": {}.", why.trim_end_matches('.')) }
             }
             Self::Asleep { name, room } => write!(f, "Waiting: {name} sleeps in the {room}."),
@@ -236,7 +248,7 @@ pub fn allowed(room: usize, now: Now, facts: &Facts<'_>) -> Result<(), Reason> {
 fn reasons<'a>(room: usize, now: Now, facts: &'a Facts<'_>) -> impl Iterator<Item = Reason> + 'a {
     let config = facts.config;
     let name = move || facts.name(room);
-    let held = facts.hold.map(|(hold, until_s)| Reason::Held { why: hold.why.clone(), until_s });
+    let held = facts.hold.map(|(hold, until_s)| Reason::Held { why: hold.why.clone(), until_s, now_s: now.local_s });
     let sleeper = facts.sleepers.iter().find(|sleeper| holds(sleeper.near, room));
     let asleep = sleeper.map(|sleeper| Reason::Asleep { name: sleeper.name.clone(), room: facts.name(sleeper.room) });
     let needs = facts.ids.get(room).and_then(|id| config.needs_of(id));
@@ -363,6 +375,11 @@ mod tests {
         let with = |hold, until_s| Facts { hold: Some((hold, until_s)), asked: 0b001, ..facts(&config) };
         assert_eq!(said(0, at(9.0), &with(&plain, None)), "On hold.");
         assert_eq!(said(2, at(9.0), &with(&meeting, Some(15.5 * HOUR_S))), "On hold until 15:30: meeting.");
+        let later = |days: f64| said(0, at(9.0), &with(&plain, Some((24.0 * days + 15.5) * HOUR_S)));
+        assert_eq!(
+            [1.0, 6.0, 30.0].map(later),
+            ["On hold until Friday 15:30.", "On hold until Wednesday 15:30.", "On hold for 30 days."]
+        );
         assert!(allowed(0, Now { stay_s: 0.0, ..at(9.0) }, &with(&plain, None)).is_err(), "it also ends work");
     }
 

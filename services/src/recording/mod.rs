@@ -10,11 +10,13 @@ pub mod ros2;
 mod tape;
 
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-use mcap::McapError;
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{MAGIC, McapError};
 use roomcast_ipc::raw::{
     ByteImage, DecisionV1, ForecastV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
     RoomScoresV1,
@@ -27,7 +29,6 @@ use self::chunks::TooMuch;
 pub use self::tape::Received;
 use self::tape::{Form, Tape};
 use crate::moment::Moment;
-use roomcast_core::text::read_at_most;
 
 /// Largest recording, also with its records unpacked: a reader holds it in memory.
 pub const FILE_BYTES_MAX: u64 = 4 << 30;
@@ -496,9 +497,22 @@ pub fn read(path: &Path) -> Result<Recording, RecordingError> {
 ///
 /// As [`read`], and [`RecordingError::Stopped`].
 pub fn read_until(path: &Path, is_stopped: &dyn Fn() -> bool) -> Result<Recording, RecordingError> {
-    let io = |source| RecordingError::Io(path.to_owned(), source);
-    let bytes = read_at_most(path, FILE_BYTES_MAX).map_err(io)?;
-    decode_until(path, &bytes.ok_or_else(|| RecordingError::TooLarge(path.to_owned()))?, is_stopped, None)
+    decode_until(path, &bytes_of(path)?, is_stopped, None)
+}
+
+/// The bytes of a file that begins as a recording, or its beginning.
+fn bytes_of(path: &Path) -> Result<Vec<u8>, RecordingError> {
+    let mut bytes = Vec::new();
+    let mut read = || {
+        let mut file = File::open(path)?;
+        file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut bytes)?;
+        if bytes == MAGIC {
+            file.take(FILE_BYTES_MAX).read_to_end(&mut bytes)?;
+        }
+        Ok(())
+    };
+    read().map_err(|source| RecordingError::Io(path.to_owned(), source))?;
+    if bytes.len() as u64 > FILE_BYTES_MAX { Err(RecordingError::TooLarge(path.to_owned())) } else { Ok(bytes) }
 }
 
 /// Reads one moment of a recording; `None` if the recording has no such moment.
@@ -507,9 +521,7 @@ pub fn read_until(path: &Path, is_stopped: &dyn Fn() -> bool) -> Result<Recordin
 ///
 /// [`RecordingError`], for the first message that is none, and for a moment that is none.
 pub fn moment(path: &Path, wanted: Wanted) -> Result<Option<RecordedMoment>, RecordingError> {
-    let io = |source| RecordingError::Io(path.to_owned(), source);
-    let bytes = read_at_most(path, FILE_BYTES_MAX).map_err(io)?;
-    find(path, &bytes.ok_or_else(|| RecordingError::TooLarge(path.to_owned()))?, wanted)
+    find(path, &bytes_of(path)?, wanted)
 }
 
 /// As [`moment`], of a recording's bytes; `path` is for errors.
@@ -582,7 +594,7 @@ fn decode_until(
     let mut reader = LinearReader::new_with_options(options.with_validate_chunk_crcs(true));
     let (mut recording, mut topics) = (Recording::default(), BTreeMap::new());
     let (mut rest, mut unpacked) = (bytes, 0_u64);
-    let is_finished = bytes.ends_with(mcap::MAGIC);
+    let is_finished = bytes.ends_with(MAGIC);
     let mut events = 0_u64;
     while let Some(event) = reader.next_event() {
         events += 1;
@@ -861,7 +873,7 @@ mod tests {
     fn a_recording_of_zeros_is_refused_and_a_stop_ends_the_reading() {
         let zeros = |size: usize, count: usize| {
             let packed = packed_zeros(size);
-            let mut bytes = mcap::MAGIC.to_vec();
+            let mut bytes = MAGIC.to_vec();
             for _ in 0..count {
                 let sizes = [[0; 16].as_slice(), &(size as u64).to_le_bytes(), &[0; 4], &4_u32.to_le_bytes(), b"zstd"];
                 let content = [sizes.concat(), (packed.len() as u64).to_le_bytes().to_vec(), packed.clone()].concat();

@@ -43,6 +43,8 @@ struct Work {
     decision: u64,
     room: String,
     asked_ns: BootNs,
+    /// The decision is older than this driver: an earlier one may have carried it out.
+    is_earlier: bool,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -82,6 +84,8 @@ pub struct Driver {
     battery: Option<f64>,
     fault: String,
     is_heard: bool,
+    /// The time of the first look.
+    began_ns: Option<BootNs>,
     /// The robot has cleaned since its first message, so an earlier driver may have sent it.
     is_new: bool,
     /// If a robot with a battery at this level or less leaves its work, it has to charge; `None` if the robot itself says so.
@@ -127,6 +131,7 @@ impl Driver {
             battery: None,
             fault: String::new(),
             is_heard: false,
+            began_ns: None,
             is_new: true,
             recharge_at: (config.kind == RobotKind::HomeAssistant).then_some(config.recharge_at),
             is_to_end: false,
@@ -177,6 +182,7 @@ impl Driver {
     /// Takes a checked decision.
     #[must_use]
     pub fn decide(&mut self, decision: &DecisionV1, now_ns: BootNs) -> Vec<Act> {
+        self.began_ns.get_or_insert(now_ns);
         let own = (decision.epoch, decision.sequence);
         let is_order = decision.robot == self.number && !decision.has(decision_flags::ELSEWHERE);
         if !is_order || self.decided == Some(own) {
@@ -221,7 +227,8 @@ impl Driver {
         if self.wish.is_some() && self.state != State::Free {
             self.order(Order::Stop, now_ns, acts);
         }
-        self.wish = Some(Work { decision: sequence, room, asked_ns: now_ns });
+        let is_earlier = self.began_ns.is_some_and(|began_ns| decision.decided_ns < began_ns.0);
+        self.wish = Some(Work { decision: sequence, room, asked_ns: now_ns, is_earlier });
     }
 
     /// Ends the current work: a person has come, or the robot must wait.
@@ -392,7 +399,7 @@ impl Driver {
 
     fn start(&mut self, now_ns: BootNs, acts: &mut Vec<Act>) {
         let Some(work) = self.wish.clone() else { return };
-        let is_new = self.is_new && self.obeys;
+        let is_new = self.is_new && self.obeys && work.is_earlier;
         self.is_new &= self.status.is_none();
         match self.status {
             // Its activity is known soon after the connection.

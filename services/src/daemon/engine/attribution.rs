@@ -64,7 +64,9 @@ pub(super) enum Reason {
     Outdated,
     #[strum(serialize = "several persons can have caused it: the belief about each of them changed a little")]
     Unclear,
-    #[strum(serialize = "the map lacks the room of this sensor, or there are too many sensors or persons")]
+    #[strum(serialize = "the map lacks the room of this sensor")]
+    UnknownRoom,
+    #[strum(serialize = "there are too many persons for this sensor, or the map has too many rooms")]
     NoSensor,
 }
 

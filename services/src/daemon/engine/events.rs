@@ -158,7 +158,22 @@ impl<M: LanguageModel> Engine<M> {
         }
         match (&own.event, who_is) {
             // A device's own reports have their order.
-            (Event::Sensor(report), _) => self.belief.sensors.note((own.source, report), who_is, at_ns).err(),
+            (Event::Sensor(report), _) => {
+                let grounding = self.scoring.pipeline.grounding();
+                let mut rooms = [&report.room, &report.beyond].into_iter().flatten();
+                if let Some(unknown) = rooms.find(|room| self.map.room(room.as_str(), grounding).is_none()) {
+                    self.map.note_room(unknown.as_str(), grounding);
+                    return Some(Reason::UnknownRoom);
+                }
+                let left = match self.belief.sensors.note((own.source, report), who_is, at_ns) {
+                    Ok(left) => left?,
+                    Err(reason) => return Some(reason),
+                };
+                if let Some(tracking) = &mut self.belief.tracking {
+                    tracking.vacate(&left);
+                }
+                None
+            }
             (_, Some(person)) => {
                 let part = Observation { person, event: own.event.clone(), name: None, ..*own };
                 self.attribution.persons.is_outdated(&part, at_ns).then_some(Reason::Outdated)

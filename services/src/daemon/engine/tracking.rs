@@ -20,8 +20,8 @@ use super::robots::Robots;
 use super::seconds;
 use super::ways_out::ways_out;
 
-/// Most sensors; reports of further ones change no belief.
-const SENSORS_MAX: usize = 256;
+/// Most sensors. A further one takes the place of the one that is silent longest, among those of the narrator with the most.
+pub const SENSORS_MAX: usize = 256;
 
 /// The probability that an event of a narrator is right, if the configuration knows it, and if not.
 const TRUST: f64 = 0.99;
@@ -48,15 +48,15 @@ fn device_of(source: u64, report: &SensorReport) -> Device {
 pub(super) struct Sensors(BTreeMap<Device, Last>);
 
 impl Sensors {
-    /// Fails if the device has a newer report, or if there are too many devices.
+    /// Returns the device that has to give way, if there is one too many. Fails if the device has a newer report.
     pub(super) fn note(
         &mut self,
         (source, report): (u64, &Arc<SensorReport>),
         person: Option<PersonId>,
         at_ns: i64,
-    ) -> Result<(), Reason> {
+    ) -> Result<Option<Device>, Reason> {
         let device = device_of(source, report);
-        let mut is_warned = false;
+        let (mut is_warned, mut left) = (false, None);
         match self.0.get(&device) {
             Some(last) if last.at_ns > at_ns => return Err(Reason::Outdated),
             Some(last) => {
@@ -71,8 +71,8 @@ impl Sensors {
                          the filter again; give each device its own id");
                 }
             }
-            None if self.0.len() >= SENSORS_MAX => return Err(Reason::NoSensor),
-            _ => {}
+            None if self.0.len() >= SENSORS_MAX => left = self.drop_one(),
+            None => {}
         }
         if !self.0.contains_key(&device) {
             // Perhaps the narrator has another name now: the former state says nothing until it reports again.
@@ -85,7 +85,17 @@ impl Sensors {
             }
         }
         self.0.insert(device, Last { report: Arc::clone(report), person, at_ns, is_warned });
-        Ok(())
+        Ok(left)
+    }
+
+    fn drop_one(&mut self) -> Option<Device> {
+        let mut devices = BTreeMap::<u64, usize>::new();
+        self.0.keys().for_each(|(source, ..)| *devices.entry(*source).or_default() += 1);
+        let (most, _) = devices.into_iter().max_by_key(|(_, count)| *count)?;
+        let own = self.0.iter().filter(|((source, ..), _)| *source == most);
+        let oldest = own.min_by_key(|(_, last)| last.at_ns)?.0.clone();
+        self.0.remove(&oldest);
+        Some(oldest)
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -277,12 +287,32 @@ impl Tracking {
         for sensor in former {
             self.tracker.observe(self.tracker.now_s(), &Observation::Sensor { sensor, on: None }, TRUST);
         }
-        let index = self.tracker.add_sensor(spec).ok()?;
-        self.sensors.push((device_of(source, report), spec));
-        if spec.kind == SensorKind::Door || spec.kind == SensorKind::Bed {
+        let of_a_door_or_bed = |spec: &SensorSpec| matches!(spec.kind, SensorKind::Door | SensorKind::Bed);
+        let mut refill = of_a_door_or_bed(&spec);
+        let own = (device_of(source, report), spec);
+        let index = match self.sensors.iter().position(|(device, _)| device.2.is_empty()) {
+            Some(vacant) => {
+                self.tracker.replace_sensor(vacant, spec).ok()?;
+                refill |= of_a_door_or_bed(&std::mem::replace(&mut self.sensors[vacant], own).1);
+                vacant
+            }
+            None => {
+                let added = self.tracker.add_sensor(spec).ok()?;
+                self.sensors.push(own);
+                added
+            }
+        };
+        if refill {
             self.refill();
         }
         Some(index)
+    }
+
+    /// A device gives way to another one: it says nothing any more, and its place has no id.
+    pub(super) fn vacate(&mut self, device: &Device) {
+        let Some(sensor) = self.sensors.iter().position(|(own, _)| own == device) else { return };
+        self.tracker.observe(self.tracker.now_s(), &Observation::Sensor { sensor, on: None }, TRUST);
+        self.sensors[sensor].0.2 = "".into();
     }
 
     /// Lets all persons move as is usual at a local hour.

@@ -17,6 +17,23 @@ pub struct PersonDay {
     pub rooms: Vec<(String, u64)>,
 }
 
+impl PersonDay {
+    /// The same with the map's names: narrators name a room by its id, a name or an alias. A room without a name keeps the narrator's.
+    #[must_use]
+    pub fn named(&self, name_of: impl Fn(&str) -> Option<String>) -> Self {
+        let mut rooms = Vec::<(String, u64)>::new();
+        for (said, events) in &self.rooms {
+            let name = name_of(said).unwrap_or_else(|| said.clone());
+            match rooms.iter_mut().find(|(own, _)| *own == name) {
+                Some((_, all)) => *all += events,
+                None => rooms.push((name, *events)),
+            }
+        }
+        rooms.sort_by(|a, b| b.1.cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
+        Self { rooms, ..self.clone() }
+    }
+}
+
 /// The last seven days in the database of a state directory, also while a daemon uses it. Newest first.
 ///
 /// # Errors
@@ -38,4 +55,19 @@ pub fn week(directory: &Path) -> Result<Vec<PersonDay>> {
         }
     }
     Ok(days)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_names_of_one_room_are_one_room() {
+        let rooms =
+            [("hall", 4), ("Küche", 3), ("kitchen-1", 2), ("attic", 1)].map(|(room, events)| (room.to_owned(), events));
+        let day = PersonDay { day: "2026-11-30".to_owned(), person: "Mira".to_owned(), rooms: rooms.to_vec() };
+        let named = day.named(|said| ["Küche", "kitchen-1"].contains(&said).then(|| "kitchen".to_owned()));
+        let expected = [("kitchen", 5), ("hall", 4), ("attic", 1)].map(|(room, events)| (room.to_owned(), events));
+        assert_eq!(named.rooms, expected);
+    }
 }

@@ -860,6 +860,29 @@ fn sensors_of_unknown_rooms_change_nothing_and_changed_devices_count_from_their_
 }
 
 #[test]
+fn devices_without_number_cost_a_narrator_only_its_silent_ones() {
+    let mut flat = flat("1 Jon: They open the fridge. | 1 bed-jon on");
+    let junk = |flat: &mut House, room: &str| {
+        for number in 0..300 {
+            flat.wait(1);
+            let text = format!(r#"{{"sensor":"motion","id":"junk-{number}","room":"{room}","on":false}}"#);
+            flat.after(0, "somebody", &text);
+        }
+    };
+    junk(&mut flat, "attic");
+    flat.report(1, ("presence", "mm", "bathroom", ""), true);
+    junk(&mut flat, "corridor");
+    flat.report(60, ("presence", "real", "living-room", ""), true);
+    assert_eq!(flat.last_understood().why, None);
+    flat.play("60 | ? somebody living-room > .8");
+    let at = |flat: &mut House| ["living-room", "bathroom"].map(|room| flat.at("somebody", room));
+    let before = at(&mut flat);
+    flat.restart();
+    let after = at(&mut flat);
+    assert!(before.iter().zip(after).all(|(a, b)| (a - b).abs() < 0.05), "{before:?} {after:?}");
+}
+
+#[test]
 fn sensors_outlive_a_restart() {
     let mut flat = flat("60 bed-jon on | 60 Mira: They sit on the sofa. | 1 living on");
     let places = [("Jon", "bedroom"), ("Mira", "living-room"), ("somebody", "kitchen")];

@@ -342,6 +342,24 @@ fn a_held_robot_that_waits_is_told_so() {
 }
 
 #[test]
+fn an_ordered_room_that_the_robot_cannot_do_hides_no_other_ordered_room() {
+    let mut flat = Flat::new(PlannerConfig { reports: Reports::Always, ..PlannerConfig::default() });
+    let rooms = ["hall", "office"];
+    flat.decision(0);
+    for room in rooms {
+        flat.of_room(report_kind::CLEAN, room);
+    }
+    flat.order(report_kind::BLOCKED, |report| report.room = text::encode("room", rooms[0]).unwrap());
+    let goes = flat.decision(S);
+    assert_eq!(
+        (goes.to(), goes.reason().ends_with("A person asked for this room.")),
+        (rooms[1], true),
+        "{}",
+        goes.reason()
+    );
+}
+
+#[test]
 fn a_room_that_a_person_asks_for_is_done_next_also_if_it_was_done() {
     let mut flat = Flat::new(PlannerConfig { reports: Reports::Always, ..quiet_hours("08:00-20:00") });
     paused(&flat.decision(0), "Quiet hours until 20:00.");

@@ -400,9 +400,9 @@ fn what_somebody_else_does_with_the_robot_is_understood() {
     pair.robot
         .hear(&format!("{TOPIC}/MapSegmentationCapability/clean/set"), r#"{"segment_ids": ["1"], "iterations": 1}"#);
     pair.decide(&decision(0, action::STAY, ""));
-    pair.driver.is_new = false;
     pair.pass(5);
-    pair.decide(&decision(1, action::GO, "office-4"));
+    let decided_ns = pair.now_s * S;
+    pair.decide(&DecisionV1 { decided_ns, ..decision(1, action::GO, "office-4") });
     pair.pass(5);
     assert_eq!(pair.robot.orders, ["clean 1", "STOP", "clean 4"]);
     // A person pauses it, and never resumes.
