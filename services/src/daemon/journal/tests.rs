@@ -5,6 +5,8 @@ use std::os::unix::fs::PermissionsExt;
 use roomcast_core::forecast::PACES;
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, Sentence, person_number};
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_core::semantic_map::delta::parse_changes;
 use roomcast_database::Connection;
 use roomcast_database::rusqlite::types::Value;
 use roomcast_database::rusqlite::{self, Row};
@@ -12,6 +14,7 @@ use roomcast_ipc::Sender as Port;
 
 use super::notes::text_of;
 use super::*;
+use crate::daemon::KeptMap;
 
 const BOOT: [u8; 16] = [3; 16];
 const SENSOR: &str = r#"{"sensor": "motion", "id": "hall-1", "room": "hall", "on": true}"#;
@@ -70,6 +73,7 @@ fn values_that_no_sound_row_has_cost_their_rows_and_not_the_start() {
         "source VALUES (9, 9, x'01', 1, 1, 1, 1)",
         "meta VALUES ('habits_version', 4)",
         "habit VALUES (300, 0, 0, 0, 0, 0, 1.0, 1)",
+        "changed_map VALUES ('1', '2', CAST(x'ff' AS TEXT))",
     ];
     rows.iter().for_each(|row| own.plant(&format!("INSERT INTO {row}")));
     own.plant("UPDATE expectation SET person = 1099511627781");
@@ -79,6 +83,7 @@ fn values_that_no_sound_row_has_cost_their_rows_and_not_the_start() {
         assert_eq!(recovered.observations, [observation(1)]);
         assert!(aside(directory.path()).is_none(), "a start sets nothing aside");
         assert!(recovered.persons.is_empty() && recovered.habits.unwrap().is_damaged());
+        assert_eq!(recovered.map, Some(KeptMap::default()));
     }
 }
 
@@ -518,6 +523,48 @@ fn old_files_do_not_come_back_after_the_database_is_lost() {
     assert!(aside(directory.path()).is_some());
 }
 
+/// A scene, and a changed map of it.
+fn maps() -> (SemanticMap, KeptMap) {
+    let scene = SemanticMap::from_json(include_str!("../../../../tests/data/two_rooms.json")).unwrap();
+    let changed = scene.changed(parse_changes(r#"[{"change": "remove-item", "id": "sofa-1"}]"#).unwrap()).unwrap();
+    let kept = KeptMap::new(hex::encode(scene.fingerprint()), &changed);
+    (scene, kept)
+}
+
+/// A file of an earlier version has the first one.
+#[test]
+fn a_changed_map_outlives_the_daemon_but_not_its_scene_its_row_or_the_database() {
+    let directory = tempfile::tempdir().unwrap();
+    let (scene, kept) = maps();
+    let file = directory.path().join("changed-map.json");
+    let old = format!(r#"{{"base": "{}", "scene": {}}}"#, kept.scene, kept.map);
+    fs::write(&file, &old).unwrap();
+    let open = || {
+        let opened = Database::open(&directory.path().join(FILE), SCHEMA).unwrap();
+        Writer::open(opened, Some(directory.path().to_owned()), 1 << 20, &BOOT).unwrap()
+    };
+    let (mut own, recovered) = open();
+    assert_eq!(recovered.map.as_ref(), Some(&kept));
+    let first = recovered.map.unwrap().of(&scene).unwrap();
+    let second = first.changed(parse_changes(r#"[{"change": "remove-item", "id": "mug-1"}]"#).unwrap()).unwrap();
+    own.write_map(KeptMap::new(kept.scene, &second)).unwrap();
+    drop(own);
+    let (mut own, recovered) = open();
+    let map = recovered.map.unwrap();
+    assert_eq!(map.of(&scene).unwrap().fingerprint(), second.fingerprint());
+    assert!(map.of(&second).is_none());
+    // A flipped bit that SQLite does not see.
+    own.plant("UPDATE changed_map SET map = replace(map, 'sofa', 'sofb')");
+    assert!(own.recover().unwrap().map.unwrap().of(&scene).is_none());
+    drop(own);
+    fs::write(directory.path().join(FILE), "no database").unwrap();
+    fs::remove_file(directory.path().join("roomcast.db-wal")).unwrap();
+    for _ in 0..2 {
+        assert_eq!(open().1.map, None);
+    }
+    assert_eq!(fs::read_to_string(file).unwrap(), old);
+}
+
 #[test]
 fn a_database_that_another_user_could_have_planted_is_refused() {
     use std::os::unix::fs::{PermissionsExt, symlink};
@@ -777,13 +824,15 @@ fn an_error_of_sqlite_is_said_once() {
 }
 
 #[test]
-fn a_failed_sync_writes_events_and_names_again_and_habits_that_were_never_written_stay_so() {
+fn a_failed_sync_writes_events_names_and_map_again_and_habits_that_were_never_written_stay_so() {
     let outer = tempfile::tempdir().unwrap();
     let (state, gone) = (outer.path().join("state"), outer.path().join("gone"));
     fs::create_dir(&state).unwrap();
     let (mut own, _) = writer(&state, 1 << 20);
     let ada = KeptPerson { number: PersonId(3), name: "Ada".to_owned(), resident: None, former: Vec::new() };
     own.write_persons(vec![ada.clone()]).unwrap();
+    let (_, map) = maps();
+    own.write_map(map.clone()).unwrap();
     own.write([event(&observation(1))]).unwrap();
     fs::rename(&state, &gone).unwrap();
     fs::create_dir(&state).unwrap();
@@ -793,4 +842,5 @@ fn a_failed_sync_writes_events_and_names_again_and_habits_that_were_never_writte
     let recovered = own.recover().unwrap();
     let sequences: Vec<_> = recovered.observations.iter().map(|own| own.sequence).collect();
     assert_eq!((sequences, recovered.persons, recovered.habits), (vec![1, 2], vec![ada], None));
+    assert_eq!(recovered.map, Some(map));
 }

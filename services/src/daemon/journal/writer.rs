@@ -17,6 +17,7 @@ use super::record::{KeptPerson, Record};
 use super::recovered::Recovered;
 use super::{Progress, old, store};
 use crate::daemon::habits::Memory;
+use crate::daemon::map_change::KeptMap;
 
 /// Silence before a sync.
 const QUIET_BEFORE_SYNC: Duration = Duration::from_millis(100);
@@ -121,6 +122,8 @@ pub struct Writer {
     habits: Option<HabitRows>,
     /// The persons in the database.
     persons: Vec<KeptPerson>,
+    /// The changed map in the database.
+    map: Option<KeptMap>,
     pub(super) progress: Arc<Progress>,
 }
 
@@ -150,6 +153,7 @@ impl Writer {
             trimmed: 0,
             habits: None,
             persons: Vec::new(),
+            map: None,
             progress,
         };
         let recovered = match writer.start() {
@@ -180,6 +184,7 @@ impl Writer {
         let recovered = self.recover()?;
         self.habits.clone_from(&recovered.habits);
         self.persons.clone_from(&recovered.persons);
+        self.map.clone_from(&recovered.map);
         Ok(recovered)
     }
 
@@ -212,12 +217,16 @@ impl Writer {
         let is_new = self.number == 0 && self.database.set_aside().next().is_none();
         let records = if is_new { old::read(directory, self.bytes_max, &self.boot_id) } else { Vec::new() };
         let persons = if is_new { old::persons(directory) } else { Vec::new() };
+        let map = is_new.then(|| old::changed_map(directory)).flatten();
         let (first, count) = (self.number + 1, records.len());
         self.database.write(|transaction| {
             let numbered = (first..).zip(&records);
             numbered.into_iter().try_for_each(|(number, record)| store::write(transaction, number, record))?;
             if !persons.is_empty() {
                 store::write_persons(transaction, &persons)?;
+            }
+            if map.is_some() {
+                store::write_map(transaction, map.as_ref())?;
             }
             store::note(transaction, OLD_FILES_READ)
         })?;
@@ -252,7 +261,7 @@ impl Writer {
             // SQLite does not know any more which part of the log it has copied, and a full disk has no other space.
             self.database.make_room().or_else(|error| if is_full(&error) { Ok(()) } else { Err(error) })?;
         }
-        let Self { database, queue, habits, persons, .. } = self;
+        let Self { database, queue, habits, persons, map, .. } = self;
         let known = habits.as_ref().filter(|habits| !habits.is_damaged());
         let before = known.filter(|_| !is_again);
         let rows = new.as_ref().or(known.filter(|_| is_again));
@@ -260,6 +269,7 @@ impl Writer {
             queue.unwritten().try_for_each(|(number, record)| store::write(transaction, *number, record))?;
             if is_again {
                 store::write_persons(transaction, persons)?;
+                store::write_map(transaction, map.as_ref())?;
             }
             rows.map_or(Ok(()), |rows| rows.write(transaction, before))
         })?;
@@ -391,6 +401,16 @@ impl Writer {
     pub(in crate::daemon) fn write_persons(&mut self, persons: Vec<KeptPerson>) -> Result<(), Error> {
         self.synced(|transaction| store::write_persons(transaction, &persons))?;
         self.persons = persons;
+        Ok(())
+    }
+
+    /// Replaces the changed map, on the disk.
+    ///
+    /// # Errors
+    /// When the disk refuses; then the old one stays.
+    pub(in crate::daemon) fn write_map(&mut self, map: KeptMap) -> Result<(), Error> {
+        self.synced(|transaction| store::write_map(transaction, Some(&map)))?;
+        self.map = Some(map);
         Ok(())
     }
 
