@@ -10,6 +10,7 @@ use roomcast_database::rusqlite::{Error, ErrorCode};
 use roomcast_database::{Database, DatabaseError, Transaction, count_sync, is_damage};
 
 use roomcast_core::ids::PersonId;
+use sd_notify::NotifyState;
 
 use super::forget::{self, IsTheirs};
 use super::learned::HabitRows;
@@ -18,6 +19,7 @@ use super::recovered::Recovered;
 use super::{Progress, old, store};
 use crate::daemon::habits::Memory;
 use crate::daemon::map_change::KeptMap;
+use crate::notify::notify;
 
 /// Silence before a sync.
 const QUIET_BEFORE_SYNC: Duration = Duration::from_millis(100);
@@ -164,6 +166,8 @@ impl Writer {
             started => started?,
         };
         writer.tell_bytes();
+        let damaged = writer.tell_set_aside();
+        writer.progress.failures.store(damaged, Ordering::Relaxed);
         Ok((writer, recovered))
     }
 
@@ -298,11 +302,11 @@ impl Writer {
 
     /// After an error that says damage, the database is opened again with the next records. If the damage stays, a new database begins.
     fn recover_from(&mut self, error: &Error) {
-        if self.lacks_pages
-            && is_damage(error)
-            && let Err(error) = self.database.start_anew(error)
-        {
-            tracing::error!(%error, "the damaged state database cannot be set aside");
+        if self.lacks_pages && is_damage(error) {
+            match self.database.start_anew(error) {
+                Ok(()) => _ = self.tell_set_aside(),
+                Err(error) => tracing::error!(%error, "the damaged state database cannot be set aside"),
+            }
         }
         self.lacks_pages |= match error.sqlite_error_code() {
             Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => false,
@@ -418,6 +422,7 @@ impl Writer {
     fn erase(&mut self) -> Result<(), Error> {
         self.is_to_erase = true;
         self.database.remove_set_aside().map_err(refused)?;
+        self.tell_set_aside();
         let erased = self.database.erase().and_then(|()| self.database.write(store::remove_to_erase));
         erased.inspect_err(|error| self.recover_from(error))?;
         self.is_to_erase = false;
@@ -436,6 +441,21 @@ impl Writer {
     #[doc(hidden)]
     pub fn plant(&mut self, statement: &str) {
         let _planted = self.database.connection().and_then(|connection| connection.execute_batch(statement));
+    }
+
+    /// Names the databases that were set aside, for `systemctl status` and the log. Gives their number.
+    fn tell_set_aside(&self) -> u64 {
+        let files: Vec<_> = self.database.set_aside().map(|file| file.display().to_string()).collect();
+        let (count, files) = (files.len() as u64, files.join(", "));
+        let status = if count > 0 { format!("set aside because of damage: {files}") } else { String::new() };
+        notify(&[NotifyState::Status(&status)]);
+        if count > 0 {
+            tracing::warn!(
+                files,
+                "damaged state databases lie aside: events, names, habits and a changed map can be missing since then; remove the files when the cause is known"
+            );
+        }
+        count
     }
 
     fn tell_bytes(&self) {
