@@ -51,6 +51,7 @@ pub const SCHEMA: Schema = Schema {
         include_str!("journal/names.sql"),
         include_str!("journal/views.sql"),
         include_str!("journal/map.sql"),
+        include_str!("journal/contexts.sql"),
     ],
 };
 /// Records that may wait for the disk before the sender does.

@@ -72,7 +72,7 @@ fn values_that_no_sound_row_has_cost_their_rows_and_not_the_start() {
         "person VALUES (1099511627781, 'Eve', 0, '[]', 0)",
         "source VALUES (9, 9, x'01', 1, 1, 1, 1)",
         "meta VALUES ('habits_version', 4)",
-        "habit VALUES (300, 0, 0, 0, 0, 0, 1.0, 1)",
+        "habit VALUES (1, 1, '[[1]]')",
         "changed_map VALUES ('1', '2', CAST(x'ff' AS TEXT))",
     ];
     rows.iter().for_each(|row| own.plant(&format!("INSERT INTO {row}")));
@@ -88,17 +88,21 @@ fn values_that_no_sound_row_has_cost_their_rows_and_not_the_start() {
 }
 
 #[test]
-fn each_departure_of_a_visitor_comes_back_at_its_place_also_from_the_first_schema() {
+fn each_departure_of_a_visitor_comes_back_at_its_place_also_from_the_first_schema_and_so_do_habits() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join(FILE);
     let old = Connection::open(&path).unwrap();
     old.execute_batch("CREATE TABLE meta (key TEXT PRIMARY KEY, value ANY NOT NULL) WITHOUT ROWID, STRICT").unwrap();
     old.execute_batch(SCHEMA.migrations[0]).unwrap();
-    old.execute_batch("INSERT INTO departure VALUES (4, 0); PRAGMA user_version = 1").unwrap();
+    let rows = "INSERT INTO departure VALUES (4, 0); INSERT INTO habit VALUES (9, 65, 7, 300, 65535, 2, 0.1, 8), (9, 65, 7, 300, 65535, 3, 4, 8)";
+    old.execute_batch(&format!("{rows}; PRAGMA user_version = 1")).unwrap();
     old.pragma_update(None, "application_id", SCHEMA.application).unwrap();
     drop(old);
     fs::set_permissions(&path, PermissionsExt::from_mode(0o600)).unwrap();
     let (mut own, recovered) = writer(directory.path(), 1 << 20);
+    let counts = "SELECT group_concat(concat_ws(' ', kind, slot, after_1, after_2, after_3, symbol, count, touched_min)) FROM habit_count";
+    let counts = Connection::open(&path).unwrap().query_row(counts, [], |row| row.get::<_, String>(0)).unwrap();
+    assert_eq!(counts, "9 65 7 300 65535 2 0.1 8,9 65 7 300 65535 3 4.0 8");
     assert_eq!(recovered.forgotten, [(0, PersonId(4))]);
     own.write([1, 2, 3].map(|sequence| event(&observation(sequence)))).unwrap();
     for after in [1, 2] {
@@ -695,7 +699,7 @@ fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
     memory.habits.be(PersonId(1), Place::Elsewhere, 1e9 + 600.0);
     own.write_habits(&memory).unwrap();
     let other = Connection::open(directory.path().join(FILE)).unwrap();
-    let changes = || other.query_row("SELECT sum(count) FROM habit", [], |row| row.get::<_, f64>(0)).unwrap();
+    let changes = || other.query_row("SELECT sum(count) FROM habit_count", [], |row| row.get::<_, f64>(0)).unwrap();
     let before = changes();
     learn(&mut memory, 1, 5);
     own.write_habits(&memory).unwrap();
@@ -708,7 +712,7 @@ fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
     assert_eq!(again.habits.stored(), memory.habits.stored());
     assert_eq!((again.heard, again.watched_until_s), (memory.heard.clone(), memory.watched_until_s));
     // A flipped bit that SQLite does not see.
-    other.execute("UPDATE habit SET count = count + 1", []).unwrap();
+    other.execute("UPDATE habit SET touched_min = touched_min + 1", []).unwrap();
     let damaged = own.recover().unwrap().habits.unwrap().memory(options);
     assert!(damaged.unwrap_err().contains("checksum"));
     drop(other);
