@@ -3,6 +3,7 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt;
 
 use roomcast_core::forecast::PACES;
+use roomcast_core::habits::{HabitsOptions, Place, Turn};
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, Sentence, person_number};
 use roomcast_core::semantic_map::SemanticMap;
@@ -14,7 +15,7 @@ use roomcast_ipc::Sender as Port;
 
 use super::notes::text_of;
 use super::*;
-use crate::daemon::KeptMap;
+use crate::daemon::{KeptMap, Memory};
 
 const BOOT: [u8; 16] = [3; 16];
 const SENSOR: &str = r#"{"sensor": "motion", "id": "hall-1", "room": "hall", "on": true}"#;
@@ -400,10 +401,19 @@ fn each_kind_of_record_comes_back() {
 #[test]
 fn a_damaged_database_is_set_aside() {
     let random = |seed: u64| seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407) >> 20;
+    let (scene, map) = maps();
     let whole = {
         let directory = tempfile::tempdir().unwrap();
         let (mut own, _) = writer(directory.path(), 1 << 20);
         flood(&mut own, 0..300);
+        own.write_map(map.clone()).unwrap();
+        let mut memory = Memory::new(HabitsOptions::default());
+        memory.habits.bind(vec!["bed".to_owned()], vec!["hall".to_owned()], vec![1.0]);
+        for hour in 0..300_u16 {
+            let at_s = 1e9 + 3_600.0 * f64::from(hour);
+            memory.habits.observe(&Turn { person: PersonId(1), label: Some(0), room: Some(0), at_s });
+        }
+        own.write_habits(&memory).unwrap();
         own.forget(PersonId(1), &|_, _| false).unwrap();
         // With the note to erase, a start would remove the databases that were set aside.
         own.plant("PRAGMA wal_checkpoint(TRUNCATE)");
@@ -432,6 +442,10 @@ fn a_damaged_database_is_set_aside() {
             let (asides, saved) = &mut kinds[how as usize];
             (*asides, *saved) = (*asides + 1, *saved + recovered.observations.len() as u64);
         }
+        // Damaged ones are refused.
+        let read = recovered.map.and_then(|map| map.of(&scene));
+        assert!(read.is_none_or(|read| map.fingerprint == hex::encode(read.fingerprint())), "{round}");
+        let _refused = recovered.habits.map(|habits| habits.memory(HabitsOptions::default()).is_err());
         let lost = 300 - recovered.observations.len() as u64;
         assert!(set_aside.is_some() || lost <= recovered.damaged + u64::from(bytes.is_empty()) * 300, "{round}");
         journal.handle.append(&observation(1000));
@@ -678,9 +692,6 @@ fn a_sync_waits_for_silence_and_not_longer_than_promised() {
 
 #[test]
 fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
-    use roomcast_core::habits::{HabitsOptions, Place, Turn};
-
-    use crate::daemon::Memory;
     use crate::daemon::habits::Heard;
 
     let directory = tempfile::tempdir().unwrap();
