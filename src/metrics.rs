@@ -254,7 +254,7 @@ impl Metrics {
         r.register("narrations_merged", "Narrations scored together with a newer one", self.merged.clone());
         r.register("heartbeats", "Heartbeats since the daemon's start", self.heartbeats.clone());
         r.register("journal_size_bytes", "Bytes of the state database and its log on disk", self.journal_bytes.clone());
-        r.register("journal_failures", "Failed writes of the state database", self.journal_failures.clone());
+        r.register("journal_failures", "Faults of the state database's files", self.journal_failures.clone());
         r.register("sources", "Narrators known", self.sources.clone());
         r.register("persons", "Persons known", self.persons.clone());
         r.register("habits_size_bytes", "Bytes of memory that habits take", self.habits_bytes.clone());

@@ -395,6 +395,7 @@ impl View {
                     (status.malformed, "malformed"),
                     (status.ahead, "from a fast clock"),
                     (status.failed_steps, "failed steps"),
+                    (status.journal_failures, "faults of the state database"),
                     (self.snapshots_missed, "snapshots missed here"),
                     (self.malformed, "malformed here"),
                 ]

@@ -920,7 +920,7 @@ typedef struct RoomcastStatusResponseV1 {
   // Journal: bytes on disk, of both its files.
   // (Offset 384.)
   uint64_t journal_bytes;
-  // Journal: failed writes.
+  // Journal: failed writes, and at the start the number of damaged databases.
   // (Offset 392.)
   uint64_t journal_failures;
   // Narrations in the name of a source that another port uses.

@@ -79,7 +79,7 @@ layout! {
         336 => model: [u8; NAME_BYTES],
         /// Journal: bytes on disk, of both its files.
         384 => journal_bytes: u64,
-        /// Journal: failed writes.
+        /// Journal: failed writes, and at the start the number of damaged databases.
         392 => journal_failures: u64,
         /// Narrations in the name of a source that another port uses.
         400 => forged: u64,

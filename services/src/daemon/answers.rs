@@ -1,7 +1,7 @@
 //! The daemon's answers to questions about its map and about persons, and the requested changes.
 
 use std::io;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use roomcast_core::ids::PersonId;
 use roomcast_core::narration::Observation;
@@ -11,21 +11,17 @@ use roomcast_core::scorer::LanguageModel;
 use roomcast_core::text::did_you_mean;
 
 use super::engine::Engine;
-use super::journal::JournalHandle;
+use super::journal::{JournalHandle, PATIENCE};
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
 use super::persons::{Called, NotRenamed};
 use crate::clock;
 
-/// Longest wait for journal and habits together when a person is forgotten.
-pub(super) const FORGET_PATIENCE: Duration = Duration::from_secs(5);
-/// Longest wait of a changed map for the journal.
-const BELIEFS_PATIENCE: Duration = Duration::from_secs(1);
-
-/// Applies a possible change to the engine and returns the result. The places of persons are in the journal before the changed map is stored.
+/// Applies a possible change to the engine and returns the result. `scene` is the fingerprint of the configured scene.
 pub(super) fn answer_change<M: LanguageModel>(
     engine: &mut Engine<M>,
-    (journal, kept_map): (Option<&JournalHandle>, Option<&KeptMap>),
+    journal: Option<&JournalHandle>,
+    scene: &str,
     asked: Result<MapQuestion, String>,
 ) -> MapAnswer {
     let start_ns = clock::monotonic_ns();
@@ -39,17 +35,13 @@ pub(super) fn answer_change<M: LanguageModel>(
         engine.change_map(map).map_err(|error| refused(&error))
     });
     let regrouped_in_ns = clock::monotonic_ns().since(start_ns);
-    let mut number = 0;
-    engine.tell_beliefs(|believed| number = journal.map_or(0, |journal| journal.append(believed)));
-    // After a timeout only the places of persons can be lost.
-    let _written = journal.is_none_or(|journal| journal.wait_for(number, BELIEFS_PATIENCE));
-    let kept = result.is_ok()
-        && kept_map.is_some_and(|kept_map| {
-            kept_map
-                .keep(engine.map())
-                .inspect_err(|error| tracing::error!(%error, "the changed map cannot be kept for a restart"))
-                .is_ok()
-        });
+    engine.tell_beliefs(|believed| _ = journal.map(|journal| journal.append(believed)));
+    // The writer has the places of persons first.
+    let kept = journal.filter(|_| result.is_ok()).is_some_and(|journal| {
+        let map = KeptMap::new(scene.to_owned(), engine.map());
+        let written = journal.ask(|writer| writer.write_map(map), Instant::now() + PATIENCE);
+        written.inspect_err(|error| tracing::error!(%error, "the changed map cannot be kept for a restart")).is_ok()
+    });
     let (outcome, reason, prepared) = match result {
         Ok(prepared) => (Outcome::Applied, None, prepared),
         Err((outcome, reason)) => (outcome, Some(reason), Prepared::default()),
@@ -151,7 +143,7 @@ fn forget<M: LanguageModel>(
     };
     // Observations in a window are already attributed.
     engine.forget(person, |observation| is_theirs(observation, Some(observation.person)));
-    let until = Instant::now() + FORGET_PATIENCE;
+    let until = Instant::now() + PATIENCE;
     let in_file = engine.persons_mut().file.set(person, None);
     let in_journal =
         journal.map_or(Ok(0), |journal| journal.ask(move |writer| writer.forget(person, &is_theirs), until));
@@ -168,7 +160,7 @@ fn forget<M: LanguageModel>(
 /// Why the disk still has data of a forgotten person, and the remedy.
 fn not_yet_kept(error: &io::Error) -> String {
     if error.kind() == io::ErrorKind::TimedOut {
-        let patience_s = FORGET_PATIENCE.as_secs();
+        let patience_s = PATIENCE.as_secs();
         return format!(
             "they are forgotten in memory; the files of the state directory are still being rewritten after {patience_s} s, which goes on: ask \
              again until no person is known by that name"

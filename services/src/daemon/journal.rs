@@ -50,10 +50,14 @@ pub const SCHEMA: Schema = Schema {
         include_str!("journal/departures.sql"),
         include_str!("journal/names.sql"),
         include_str!("journal/views.sql"),
+        include_str!("journal/map.sql"),
+        include_str!("journal/contexts.sql"),
     ],
 };
 /// Records that may wait for the disk before the sender does.
 const QUEUE: usize = 8_192;
+/// Longest wait of a change for the disk.
+pub(super) const PATIENCE: Duration = Duration::from_secs(5);
 
 /// The threads' view of the journal.
 #[derive(Debug, Default)]

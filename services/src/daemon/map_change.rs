@@ -1,17 +1,10 @@
-//! Changes of the map in use: the questions on `roomcast/v1/map-change`, their answers, and the file that keeps a changed map over a restart.
-
-use std::path::{Path, PathBuf};
+//! Changes of the map in use: the questions on `roomcast/v1/map-change`, their answers, and the changed map of the state database.
 
 use serde::{Deserialize, Serialize};
 
 use super::asked::{Answer, Question};
-use crate::state_file;
+use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::semantic_map::delta::MapChange;
-use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap};
-
-pub(super) const FILE: &str = "changed-map.json";
-/// Most bytes of the file: a scene, as the daemon writes it.
-const FILE_BYTES_MAX: u64 = 2 * MAX_FILE_BYTES;
 
 impl Question for MapQuestion {
     fn id(&self) -> Option<&str> {
@@ -81,87 +74,39 @@ impl Answer for MapAnswer {
     }
 }
 
-/// Keeps a changed map over a restart, until the configured scene changes.
-#[derive(Debug)]
+/// A changed map, which holds until the configured scene changes.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct KeptMap {
-    path: PathBuf,
-    base: String,
-}
-
-#[derive(Serialize, Deserialize)]
-struct KeptFile {
-    /// The fingerprint of the configured scene.
-    base: String,
-    scene: serde_json::Value,
+    /// The fingerprint of the configured scene, hexadecimal.
+    pub(super) scene: String,
+    /// The fingerprint of the changed map, because SQLite does not notice a flipped bit in a text.
+    pub(super) fingerprint: String,
+    /// The changed map as JSON.
+    pub(super) map: String,
 }
 
 impl KeptMap {
-    /// A file in the state directory, for the configured scene.
+    /// A changed form of the scene with this fingerprint.
     #[must_use]
-    pub fn new(directory: &Path, configured: &SemanticMap) -> Self {
-        Self { path: directory.join(FILE), base: hex::encode(configured.fingerprint()) }
+    pub fn new(scene: String, map: &SemanticMap) -> Self {
+        Self { scene, fingerprint: hex::encode(map.fingerprint()), map: map.to_json() }
     }
 
-    /// The kept map, if it is a changed form of the configured scene. An unusable file stays in place, and the log says why.
+    /// The changed map of the configured scene. If there is none, the log says why.
     #[must_use]
-    pub fn load(&self) -> Option<SemanticMap> {
-        let text = match state_file::read(&self.path, FILE_BYTES_MAX) {
-            Ok(text) => text?,
-            Err(error) => {
-                tracing::warn!(%error, path = %self.path.display(), "the changed map cannot be read, and the configured scene is used: remove it, and apply the changes again");
-                return None;
-            }
-        };
-        let kept: KeptFile = match serde_json::from_str(&text) {
-            Ok(kept) => kept,
-            Err(error) => {
-                tracing::warn!(%error, path = %self.path.display(), "the changed map is damaged, and the configured scene is used: remove it, and apply the changes again");
-                return None;
-            }
-        };
-        if kept.base != self.base {
-            tracing::warn!(path = %self.path.display(), "the changed map is of another scene; the configured scene is used");
-            return None;
-        }
-        match SemanticMap::from_json(&kept.scene.to_string()) {
-            Ok(map) => Some(map),
-            Err(error) => {
-                tracing::warn!(%error, path = %self.path.display(), "the changed map is malformed; the configured scene is used");
-                None
-            }
-        }
-    }
-
-    /// Keeps a map. The old file stays until the new one is complete.
-    ///
-    /// # Errors
-    /// If the state directory cannot be written.
-    pub fn keep(&self, map: &SemanticMap) -> std::io::Result<()> {
-        let scene = serde_json::from_str(&map.to_json())?;
-        let text = serde_json::to_string(&KeptFile { base: self.base.clone(), scene })?;
-        state_file::replace_for_good(&self.path, text.as_bytes())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use roomcast_core::semantic_map::delta::parse_changes;
-
-    fn map() -> SemanticMap {
-        SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap()
-    }
-
-    #[test]
-    fn a_changed_map_comes_back_as_long_as_the_scene_is_the_same() {
-        let directory = tempfile::tempdir().unwrap();
-        let changed = map().changed(parse_changes(r#"[{"change": "remove-item", "id": "sofa-1"}]"#).unwrap()).unwrap();
-        let kept = KeptMap::new(directory.path(), &map());
-        assert!(kept.load().is_none());
-        kept.keep(&changed).unwrap();
-        assert_eq!(kept.load().unwrap().fingerprint(), changed.fingerprint());
-        assert!(KeptMap::new(directory.path(), &changed).load().is_none(), "of another scene");
-        std::fs::write(directory.path().join(FILE), "{").unwrap();
-        assert!(kept.load().is_none(), "damaged");
+    pub fn of(&self, configured: &SemanticMap) -> Option<SemanticMap> {
+        let map = SemanticMap::from_json(&self.map).map_err(|error| crate::logging::chain(&error));
+        let map = map.and_then(|map| match map.fingerprint() {
+            _ if self.scene != hex::encode(configured.fingerprint()) => Err("it is of another scene".to_owned()),
+            fingerprint if self.fingerprint == hex::encode(fingerprint) => Ok(map),
+            _ => Err("it is damaged".to_owned()),
+        });
+        let used = map.inspect_err(|reason| {
+            tracing::warn!(
+                reason,
+                "the changed map in the state database is not used, but the configured scene: apply the changes again"
+            );
+        });
+        used.ok()
     }
 }

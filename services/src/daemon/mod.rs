@@ -184,12 +184,12 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let (handle, prefetching) = prefetch_thread::pair(config.scoring.prepare_share, config.scoring.prepare_on_battery);
     let (journal, mut recovered) = open_journal(&config.daemon)?;
     let journal_handle = journal.as_ref().map(|journal| journal.handle.clone());
-    let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal_handle.clone());
-    let habits = recovered.habits.take();
-    let Some(loaded) = stop.while_loading(|| load(config, names, habits, model, prefetching.is_stopped())) else {
+    let Some(loaded) =
+        stop.while_loading(|| load(config, journal_handle.clone(), &mut recovered, model, prefetching.is_stopped()))
+    else {
         return Ok(());
     };
-    let Loaded { engine, ahead, kept_map, token_counter } = loaded?;
+    let Loaded { engine, ahead, scene, token_counter } = loaded?;
     memory::return_freed();
     embedded::release_model();
     let mut cycle = Cycle::new(engine, config.daemon.heartbeat_ms * 1_000_000);
@@ -201,7 +201,7 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let tally = first_tally(cycle.engine(), restored);
     let (counters, progress) = (Counters::default(), Progress::default());
     let tools = Tools {
-        kept_map,
+        scene,
         save_ns: (config.habits.save_s * 1e9) as u64,
         sentence_tokens_max,
         journal: journal_handle,
@@ -239,23 +239,20 @@ struct Loaded<M> {
     engine: Engine<M>,
     /// `None` when prefetching is off.
     ahead: Option<Prefetcher<M, LlamaModel>>,
-    kept_map: Option<KeptMap>,
+    /// The fingerprint of the configured scene, hexadecimal.
+    scene: String,
     token_counter: TokenCounter,
 }
 
 /// Reads map, model, persons and habits.
 fn load<M: LanguageModel + Send + 'static>(
     config: &Config,
-    names: PersonsFile,
-    habits: Option<HabitRows>,
+    journal: Option<JournalHandle>,
+    recovered: &mut Recovered,
     model: impl FnOnce(&Config) -> Result<M, SetupError> + Send,
     is_stopped: IsStopped,
 ) -> Result<Loaded<M>, DaemonError> {
     let state = config.daemon.state_directory();
-    if let Some(directory) = &state {
-        // An unwritable directory is reported at the first write.
-        let _removed = crate::state_file::remove_unfinished(&directory.join(map_change::FILE));
-    }
     if state.is_none() {
         tracing::warn!(
             "nothing is stored: confirmed events, names and habits end with the daemon, unless daemon.state names a folder"
@@ -265,8 +262,8 @@ fn load<M: LanguageModel + Send + 'static>(
         tracing::warn!("persons.residents: {odd}");
     }
     let configured = setup::load_map(config.scene.path.as_deref())?;
-    let kept_map = state.as_ref().map(|directory| KeptMap::new(directory, &configured));
-    let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);
+    let scene = hex::encode(configured.fingerprint());
+    let map = recovered.map.take().and_then(|map| map.of(&configured)).unwrap_or(configured);
     let pipeline = set_up(|| setup::open_with(config, &map, model))??;
     if let Some(reason) = &pipeline.inside().model().weakness {
         tracing::warn!(
@@ -279,7 +276,8 @@ fn load<M: LanguageModel + Send + 'static>(
     // If the configuration names only relayed narrators, local ones are not unknown narrators.
     let guards = config.daemon.narrator.iter().any(|known| !known.relayed);
     let named = config.daemon.narrator.iter().filter(|_| guards);
-    let memory = memory(state.as_deref(), habits, config.habits.options());
+    let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal);
+    let memory = memory(state.as_deref(), recovered.habits.take(), config.habits.options());
     let preparer = match config.scoring.prepare {
         0 => Ok(None),
         _ => pipeline.inside().preparer(Arc::clone(&is_stopped)),
@@ -300,7 +298,7 @@ fn load<M: LanguageModel + Send + 'static>(
         .with_named(named.map(|known| (sequence::source_of_name(&known.name), known.may)))
         .with_habits(HomeHabits::new(memory, Zone::local()))
         .with_readings();
-    Ok(Loaded { engine, ahead, kept_map, token_counter })
+    Ok(Loaded { engine, ahead, scene, token_counter })
 }
 
 /// The habits of the state database, or of an earlier version's file.

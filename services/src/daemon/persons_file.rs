@@ -1,16 +1,14 @@
 //! The names that the home gave to persons, and their numbers, in the table `person` of the state database.
 
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use super::journal::{self, JournalHandle, KeptPerson};
+use super::journal::{self, JournalHandle, KeptPerson, PATIENCE};
 use roomcast_core::ids::PersonId;
 use roomcast_core::narration::{ReadName, check_name, same_name};
 
 /// Most persons with a name from the home.
 pub const NAMED_MAX: usize = 1000;
-/// Longest wait of a change for the disk.
-const PATIENCE: Duration = Duration::from_secs(5);
 
 /// The names from the home.
 #[derive(Debug, Default, Clone)]
@@ -122,6 +120,8 @@ fn check(persons: &[KeptPerson]) -> Result<(), String> {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
     use crate::daemon::Journal;
 

@@ -9,9 +9,7 @@ use roomcast_ipc::Sender;
 use roomcast_ipc::raw::{DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, RoomScoresV1};
 use roomcast_llama::LlamaModel;
 
-use super::{
-    Cycle, Entry, Intake, Journal, Loaded, PersonsFile, SentenceCost, Taken, Zone, journal, load, open_journal,
-};
+use super::{Cycle, Entry, Intake, Journal, Loaded, SentenceCost, Taken, Zone, journal, load, open_journal};
 use crate::config::Config;
 use crate::fleet_day::{self, Outcome, ROBOTS, Track};
 use crate::household::{self, House, Robot, live};
@@ -33,9 +31,9 @@ impl Daemon {
     fn start(config: &Config, now_ns: BootNs, now_unix_ns: UnixNs) -> Self {
         let (journal, mut recovered) = open_journal(&config.daemon).unwrap();
         let journal = journal.unwrap();
-        let names = PersonsFile::new(std::mem::take(&mut recovered.persons), Some(journal.handle.clone()));
+        let handle = Some(journal.handle.clone());
         let Loaded { engine, token_counter, .. } =
-            load(config, names, recovered.habits.take(), setup::configured_model, Arc::new(|| true)).unwrap();
+            load(config, handle, &mut recovered, setup::configured_model, Arc::new(|| true)).unwrap();
         let mut cycle = Cycle::new(engine, config.daemon.heartbeat_ms * 1_000_000);
         let tokens_max = Arc::new(AtomicUsize::new(cycle.engine().sentence_tokens_max()));
         let mut intake = Intake::new(config.daemon.intake).with_cost(SentenceCost::new(token_counter, tokens_max));

@@ -12,13 +12,13 @@ use roomcast_ipc::raw::{
 use roomcast_ipc::{AnswerPort, IpcError, ItemScoresPublisher, Node, Publisher, StatusServer, Subscriber, question};
 use sd_notify::NotifyState;
 
-use super::answers::{FORGET_PATIENCE, answer_about_person, answer_change, forget_habits};
+use super::answers::{answer_about_person, answer_change, forget_habits};
 use super::asked::{Answered, Question};
 use super::cycle::Cycle;
 use super::engine::Engine;
 use super::habits_question::{self, After, HabitsAnswer, HabitsQuestion, Importing};
-use super::journal::JournalHandle;
-use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
+use super::journal::{JournalHandle, PATIENCE};
+use super::map_change::{MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
 use super::prefetch_thread::PrefetchHandle;
 use super::receiver::{Counters, Heard, QUEUE, ReceiverLoan};
@@ -89,7 +89,8 @@ pub(super) struct Scoring<M> {
     answered_persons: Answered<PersonAnswer>,
     answered_habits: Answered<HabitsAnswer>,
     importing: Importing,
-    kept_map: Option<KeptMap>,
+    /// The fingerprint of the configured scene, hexadecimal.
+    scene: String,
     save_ns: u64,
     saved_ns: BootNs,
     receiver: ReceiverLoan,
@@ -120,7 +121,7 @@ pub(super) struct Scoring<M> {
 
 /// Further parts of the scoring thread.
 pub(super) struct Tools {
-    pub(super) kept_map: Option<KeptMap>,
+    pub(super) scene: String,
     pub(super) save_ns: u64,
     pub(super) sentence_tokens_max: Arc<AtomicUsize>,
     pub(super) journal: Option<JournalHandle>,
@@ -139,7 +140,7 @@ impl<M: LanguageModel> Scoring<M> {
         tools: Tools,
         tally: StatusResponseV1,
     ) -> Self {
-        let Tools { kept_map, save_ns, sentence_tokens_max, journal, counters, progress, handle, stop } = tools;
+        let Tools { scene, save_ns, sentence_tokens_max, journal, counters, progress, handle, stop } = tools;
         Self {
             cycle,
             ready: false,
@@ -148,7 +149,7 @@ impl<M: LanguageModel> Scoring<M> {
             answered_persons: Answered::default(),
             answered_habits: Answered::default(),
             importing: Importing::default(),
-            kept_map,
+            scene,
             save_ns,
             saved_ns: clock::monotonic_ns(),
             receiver,
@@ -448,13 +449,13 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Applies requested map changes. Returns true if the map changed.
     fn change_map(&mut self) -> Result<bool, IpcError> {
-        let Self { cycle, answered, journal, kept_map, ports, tally, receiver, sentence_tokens_max, .. } = self;
+        let Self { cycle, answered, journal, scene, ports, tally, receiver, sentence_tokens_max, .. } = self;
         let engine = cycle.engine_mut();
         let mut changed = false;
         ports.map_changes.answer(|asked| {
             answered.answer::<MapQuestion>(asked, |asked| {
                 receiver.lend();
-                let answer = answer_change(engine, (journal.as_ref(), kept_map.as_ref()), asked);
+                let answer = answer_change(engine, journal.as_ref(), scene, asked);
                 if answer.outcome == Outcome::Applied {
                     changed = true;
                     tally.map_fingerprint = engine.map().fingerprint();
@@ -518,7 +519,7 @@ impl<M: LanguageModel> Scoring<M> {
                     // Unread and remembered answers contain forgotten habits.
                     habits_questions.forget_answers();
                     is_new = true;
-                    if let Err(error) = forget_habits(engine, journal.as_ref(), Instant::now() + FORGET_PATIENCE) {
+                    if let Err(error) = forget_habits(engine, journal.as_ref(), Instant::now() + PATIENCE) {
                         answer.reason = Some(format!(
                             "it holds until the daemon starts again: the habits cannot be written: {error}"
                         ));

@@ -290,8 +290,12 @@ fn daemon(map: Option<&SemanticMap>, node: &roomcast_ipc::Node, file: &str) -> F
     }
     if status.journal_failures > 0 {
         let found =
-            format!("its state database could not be written {} times since it started", status.journal_failures);
-        return Finding::limited(check, found, "its log says why; a restart would know less of who is where");
+            format!("its state database had {} since it started", count(status.journal_failures as usize, "fault"));
+        return Finding::limited(
+            check,
+            found,
+            "its log says why; after failed writes a restart knows less of who is where",
+        );
     }
     if let Some(finding) = fast_clock(status.ahead, status.ahead_ns) {
         return finding;

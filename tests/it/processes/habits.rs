@@ -45,7 +45,7 @@ fn habits_are_learned_once_over_kills_and_damage() {
 
     // Damaged habits are learned again from the events.
     world.end(daemon, Signal::KILL);
-    database().execute("UPDATE habit SET count = count + 1", []).unwrap();
+    database().execute("UPDATE habit SET touched_min = touched_min + 1", []).unwrap();
     daemon = start(&mut world);
     assert_eq!(learned(&world), 4.0 * once);
     // Forgotten habits stay forgotten over a kill.

@@ -71,7 +71,21 @@ fn the_map_of_a_running_daemon_changes_without_a_restart_and_without_the_model()
 
     // A killed daemon starts again with the changed map.
     world.end(daemon, Signal::KILL);
-    world.start_daemon();
+    let daemon = world.start_daemon();
     let restarted = scores_with(&scores, "the new daemon's scores", |scores| scores.epoch != before.epoch);
     assert_eq!(restarted.map_fingerprint, with_garage.map_fingerprint);
+
+    // A damaged database is set aside with the map; log and status say so.
+    world.end(daemon, Signal::KILL);
+    std::fs::write(world.state().join("roomcast.db"), "no database").unwrap();
+    std::fs::remove_file(world.state().join("roomcast.db-wal")).unwrap();
+    let daemon = world.start_daemon();
+    let anew = scores_with(&scores, "scores without the database", |scores| {
+        ![before.epoch, restarted.epoch].contains(&scores.epoch)
+    });
+    assert_eq!((anew.map_fingerprint, anew.included().len()), (before.map_fingerprint, 0));
+    assert_eq!(world.status(&node).journal_failures, 1);
+    world.signal(daemon, Signal::TERM);
+    let (_, log) = world.wait(daemon);
+    assert!(log.contains("roomcast.db.damaged-1") && log.contains("a changed map can be missing"), "{log}");
 }

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 
 use roomcast_core::habits::{Habits, HabitsOptions, Stored, StoredName, StoredRow};
 use roomcast_core::ids::EventId;
-use roomcast_database::rusqlite::{OptionalExtension, Result, params};
+use roomcast_database::rusqlite::types::Type;
+use roomcast_database::rusqlite::{Error, OptionalExtension, Result, Row, params};
 use roomcast_database::{Transaction, sound};
 
 use crate::daemon::habits::{Heard, Memory};
@@ -77,17 +78,16 @@ impl HabitRows {
             Some(model) => write.execute(params![person, model]).map(|_| ()),
             None => delete.execute([person]).map(|_| ()),
         })?;
-        let mut delete = transaction
-            .prepare_cached("DELETE FROM habit WHERE (kind, slot, after_1, after_2, after_3) = (?1, ?2, ?3, ?4, ?5)")?;
-        let mut write = transaction.prepare_cached("INSERT INTO habit VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)")?;
+        let mut delete = transaction.prepare_cached("DELETE FROM habit WHERE context = ?1")?;
+        let mut write = transaction.prepare_cached("INSERT OR REPLACE INTO habit VALUES (?1, ?2, ?3)")?;
         let by_context = |row| (context(row), row);
         let (old, now) = (old.rows.iter().map(by_context), now.rows.iter().map(by_context));
-        changes(old, now, |(kind, slot, [first, second, third]), row| {
-            delete.execute(params![kind, slot, first, second, third])?;
-            let Some(StoredRow { counts, touched_min, .. }) = row else { return Ok(()) };
-            counts.iter().try_for_each(|(symbol, count)| {
-                write.execute(params![kind, slot, first, second, third, symbol, count, touched_min]).map(|_| ())
-            })
+        changes(old, now, |context, row| match row {
+            Some(StoredRow { touched_min, counts, .. }) => {
+                let counts = serde_json::to_string(counts).unwrap_or_default();
+                write.execute(params![context, touched_min, counts]).map(|_| ())
+            }
+            None => delete.execute([context]).map(|_| ()),
         })?;
         transaction.execute("DELETE FROM learned", [])?;
         let mut write = transaction.prepare_cached("INSERT INTO learned VALUES (?1, ?2, ?3, ?4)")?;
@@ -145,19 +145,15 @@ impl HabitRows {
         let (objects, places) = (names("thing")?, names("place")?);
         let mut query = transaction.prepare("SELECT person, model FROM habit_person")?;
         let persons = query.query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?.collect::<Result<_>>()?;
-        let mut query = transaction.prepare("SELECT * FROM habit ORDER BY 1, 2, 3, 4, 5, 6")?;
-        let counts = query.query_map([], |row| {
-            let (after, counts) = ([row.get(2)?, row.get(3)?, row.get(4)?], vec![(row.get(5)?, row.get(6)?)]);
-            Ok(StoredRow { kind: row.get(0)?, slot: row.get(1)?, after, touched_min: row.get(7)?, counts })
-        })?;
-        let mut rows = Vec::<StoredRow>::new();
-        for count in counts {
-            let count = count?;
-            match rows.last_mut().filter(|row| context(row) == context(&count)) {
-                Some(row) => row.counts.extend(count.counts),
-                None => rows.push(count),
-            }
-        }
+        let mut query = transaction.prepare("SELECT * FROM habit ORDER BY context")?;
+        let row = |row: &Row<'_>| {
+            let [kind, slot, a, b, c, d, e, f] = row.get::<_, i64>(0)?.to_be_bytes();
+            let counts = serde_json::from_str(row.get_ref(2)?.as_str()?);
+            let counts = counts.map_err(|error| Error::FromSqlConversionFailure(2, Type::Text, error.into()))?;
+            let after = [[a, b], [c, d], [e, f]].map(u16::from_be_bytes);
+            Ok(StoredRow { kind, slot, after, touched_min: row.get(1)?, counts })
+        };
+        let rows = query.query_map([], row)?.collect::<Result<_>>()?;
         let mut query = transaction.prepare("SELECT source, epoch, sequence FROM learned ORDER BY place")?;
         let learned = query.query_map([], |row| {
             let number = |at| row.get::<_, i64>(at).map(i64::cast_unsigned);
@@ -172,8 +168,10 @@ impl HabitRows {
     }
 }
 
-fn context(row: &StoredRow) -> (u8, u8, [u16; 3]) {
-    (row.kind, row.slot, row.after)
+/// The key of a row: no kind is so great that it is negative.
+fn context(&StoredRow { kind, slot, after, .. }: &StoredRow) -> i64 {
+    let [[a, b], [c, d], [e, f]] = after.map(u16::to_be_bytes);
+    i64::from_be_bytes([kind, slot, a, b, c, d, e, f])
 }
 
 /// Calls `write` for each changed key, with the new value, or with `None` if the key is gone.

@@ -1,6 +1,6 @@
-//! The journal of earlier versions, which is read once: two files of records.
+//! The files of earlier versions, which are read once.
 //!
-//! A record is four letters, the payload's length (u32), the CRC-32 of the payload (u32), the payload; integers little endian.
+//! The journal has two files of records. A record is four letters, the payload's length (u32), the CRC-32 of the payload (u32), the payload; integers little endian.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom};
@@ -11,12 +11,14 @@ use roomcast_core::habits::{BYTES_MAX as HABITS_BYTES_MAX, Habits, HabitsOptions
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, Sentence};
 use roomcast_core::parsing::{Keyed, json_says};
+use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap};
 use roomcast_ipc::Sender as Port;
 use roomcast_ipc::raw::NAME_BYTES;
 
 use super::old_habits;
 use super::record::{Expectation, KeptPerson, Move, Moved, Record};
 use crate::daemon::habits::{Heard, Memory};
+use crate::daemon::map_change::KeptMap;
 use crate::state_file;
 
 /// The older half, then the current one.
@@ -27,6 +29,8 @@ const NEXT: &str = "narration.journal.next";
 const PERSONS: &str = "persons.json";
 /// The habits, and a file that was damaged.
 pub(super) const HABITS: [&str; 2] = ["habits", "habits.damaged"];
+/// The changed map.
+const MAP: &str = "changed-map.json";
 /// The files with events and names.
 pub(super) const EVENTS: [&str; 3] = [FILES[0], FILES[1], PERSONS];
 /// Most names of learned events that are read.
@@ -82,30 +86,52 @@ pub(super) fn remove(directory: &Path, files: &[&str]) -> io::Result<()> {
     Ok(())
 }
 
-/// The persons in the file of an earlier version. A file that is malformed gives none, and the log says so.
-pub(in crate::daemon) fn persons(directory: &Path) -> Vec<KeptPerson> {
-    let path = directory.join(PERSONS);
-    let read = state_file::read(&path, PERSONS_BYTES_MAX).map_err(|error| error.to_string());
-    read.and_then(|text| text.map_or(Ok(Vec::new()), |text| parse(&text))).unwrap_or_else(|reason| {
-        tracing::warn!(reason, path = %path.display(), "the persons file of an earlier version cannot be read, and the names in it are not known: give them again with `roomcast person rename`");
-        Vec::new()
-    })
-}
-
-fn parse(text: &str) -> Result<Vec<KeptPerson>, String> {
-    let persons: Vec<Keyed<KeptPerson>> = serde_json::from_str(text).map_err(|error| json_says(&error))?;
-    Ok(persons.into_iter().map(|Keyed(person)| person).collect())
-}
-
-/// The habits in the file of an earlier version. A file that is damaged gives none, and the log says so.
-pub(in crate::daemon) fn habits(directory: &Path, options: HabitsOptions) -> Option<Memory> {
-    let path = directory.join(HABITS[0]);
-    let read = state_file::read_bytes(&path, HABITS_BYTES_MAX as u64 + 24 * u64::from(NAMES_MAX) + 24);
-    let read = read.map_err(|error| error.to_string());
-    read.and_then(|bytes| bytes.map(|bytes| memory(&bytes, options)).transpose()).unwrap_or_else(|reason| {
-        tracing::warn!(reason, path = %path.display(), "the habits file of an earlier version cannot be used: only the events in the state database are learned");
+/// What a file of an earlier version says. If it cannot be used, the log says so.
+fn content<T>(
+    (directory, name): (&Path, &str),
+    bytes_max: u64,
+    parse: impl FnOnce(&[u8]) -> Result<T, String>,
+    remedy: &str,
+) -> Option<T> {
+    let path = directory.join(name);
+    let read = state_file::read(&path, bytes_max).map_err(|error| error.to_string());
+    read.and_then(|bytes| bytes.map(|bytes| parse(&bytes)).transpose()).unwrap_or_else(|reason| {
+        tracing::warn!(reason, path = %path.display(), "a file of an earlier version cannot be used: {remedy}");
         None
     })
+}
+
+/// The persons in the file of an earlier version.
+pub(in crate::daemon) fn persons(directory: &Path) -> Vec<KeptPerson> {
+    let parse = |bytes: &[u8]| {
+        let persons: Vec<Keyed<KeptPerson>> = serde_json::from_slice(bytes).map_err(|error| json_says(&error))?;
+        Ok(persons.into_iter().map(|Keyed(person)| person).collect())
+    };
+    let remedy = "the names in it are not known; give them again with `roomcast person rename`";
+    content((directory, PERSONS), PERSONS_BYTES_MAX, parse, remedy).unwrap_or_default()
+}
+
+/// The changed map in the file of an earlier version.
+pub(super) fn changed_map(directory: &Path) -> Option<KeptMap> {
+    #[derive(serde::Deserialize)]
+    struct Kept {
+        /// The fingerprint of the configured scene.
+        base: String,
+        scene: serde_json::Value,
+    }
+    let parse = |bytes: &[u8]| {
+        let Kept { base, scene } = serde_json::from_slice(bytes).map_err(|error| json_says(&error))?;
+        let map = SemanticMap::from_json(&scene.to_string()).map_err(|error| crate::logging::chain(&error))?;
+        Ok(KeptMap::new(base, &map))
+    };
+    content((directory, MAP), 2 * MAX_FILE_BYTES, parse, "the configured scene is used; apply the changes again")
+}
+
+/// The habits in the file of an earlier version.
+pub(in crate::daemon) fn habits(directory: &Path, options: HabitsOptions) -> Option<Memory> {
+    let bytes_max = HABITS_BYTES_MAX as u64 + 24 * u64::from(NAMES_MAX) + 24;
+    let remedy = "only the events in the state database are learned";
+    content((directory, HABITS[0]), bytes_max, |bytes| memory(bytes, options), remedy)
 }
 
 /// The habits in the bytes of that file.

@@ -8,6 +8,7 @@ use roomcast_ipc::Sender as Port;
 
 use super::learned::HabitRows;
 use super::record::{Expectation, KeptPerson, Move};
+use crate::daemon::map_change::KeptMap;
 
 /// The content of the database at the start.
 #[derive(Debug, Default, Clone)]
@@ -30,6 +31,8 @@ pub struct Recovered {
     pub settled: BTreeMap<(u64, u64), u64>,
     /// The persons with a name that the home gave.
     pub persons: Vec<KeptPerson>,
+    /// The changed map.
+    pub map: Option<KeptMap>,
     /// The habits; `None` if they were never written.
     pub habits: Option<HabitRows>,
     /// Events that cannot be read.

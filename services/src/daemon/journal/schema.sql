@@ -56,7 +56,7 @@ CREATE TABLE source (
 CREATE TABLE habit_name (kind TEXT NOT NULL, number INTEGER NOT NULL, name TEXT NOT NULL, seen_min INTEGER NOT NULL, PRIMARY KEY (kind, number))
 WITHOUT ROWID, STRICT;
 
--- The habits' model of a person, as JSON; its `slot` is the person in the lower six bits of `habit.slot`.
+-- The habits' model of a person, as JSON; its `slot` is the person in the lower six bits of `habit_count.slot`.
 CREATE TABLE habit_person (person INTEGER PRIMARY KEY, model TEXT NOT NULL) STRICT;
 
 -- How often a symbol followed a context, with a half-life, as of the minute of the last change.

@@ -15,6 +15,7 @@ use roomcast_ipc::Sender as Port;
 use super::learned::HabitRows;
 use super::record::{EVENT_BYTES, Expectation, KeptPerson, Move, Moved, PART_BYTES, Record};
 use super::recovered::Recovered;
+use crate::daemon::map_change::KeptMap;
 
 /// At most so many events of each person stay, fewer if they have more than a quarter of the bytes.
 const WORDS: [u32; 5] = [12, 6, 3, 2, 1];
@@ -419,7 +420,8 @@ fn move_at(row: &Row<'_>) -> Result<(i64, Move)> {
 pub(super) fn recover(transaction: &Transaction<'_>) -> Result<Recovered> {
     let (known, damaged) = events(transaction)?;
     let (persons, habits) = (persons(transaction)?, HabitRows::read(transaction)?);
-    let mut recovered = Recovered { damaged: damaged.len() as u64, persons, habits, ..Recovered::default() };
+    let map = changed_map(transaction)?;
+    let mut recovered = Recovered { damaged: damaged.len() as u64, persons, map, habits, ..Recovered::default() };
     let mut ids = Vec::with_capacity(known.len());
     let mut newest = HashSet::new();
     for Known { id, mut observation, is_of_this_boot, found, moves } in known {
@@ -532,6 +534,20 @@ pub(super) fn persons(transaction: &Transaction<'_>) -> Result<Vec<KeptPerson>> 
         Ok(KeptPerson { number: PersonId(row.get(0)?), name: row.get(1)?, resident: row.get(2)?, former })
     };
     query.query_map([], person)?.filter_map(|person| sound(person).transpose()).collect()
+}
+
+/// Replaces the changed map.
+pub(super) fn write_map(transaction: &Transaction<'_>, map: Option<&KeptMap>) -> Result<()> {
+    transaction.execute("DELETE FROM changed_map", [])?;
+    let Some(KeptMap { scene, fingerprint, map }) = map else { return Ok(()) };
+    transaction.execute("INSERT INTO changed_map VALUES (?1, ?2, ?3)", [scene, fingerprint, map]).map(|_| ())
+}
+
+/// The changed map; that of a damaged row is empty.
+fn changed_map(transaction: &Transaction<'_>) -> Result<Option<KeptMap>> {
+    let map = |row: &Row<'_>| Ok(KeptMap { scene: row.get(0)?, fingerprint: row.get(1)?, map: row.get(2)? });
+    let row = transaction.query_row("SELECT * FROM changed_map", [], map).optional();
+    Ok(sound(row)?.unwrap_or_else(|| Some(KeptMap::default())))
 }
 
 /// Persons who were found for events; several where a text names several.

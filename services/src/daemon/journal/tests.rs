@@ -3,8 +3,11 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt;
 
 use roomcast_core::forecast::PACES;
+use roomcast_core::habits::{HabitsOptions, Place, Turn};
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, Sentence, person_number};
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_core::semantic_map::delta::parse_changes;
 use roomcast_database::Connection;
 use roomcast_database::rusqlite::types::Value;
 use roomcast_database::rusqlite::{self, Row};
@@ -12,6 +15,7 @@ use roomcast_ipc::Sender as Port;
 
 use super::notes::text_of;
 use super::*;
+use crate::daemon::{KeptMap, Memory};
 
 const BOOT: [u8; 16] = [3; 16];
 const SENSOR: &str = r#"{"sensor": "motion", "id": "hall-1", "room": "hall", "on": true}"#;
@@ -69,7 +73,8 @@ fn values_that_no_sound_row_has_cost_their_rows_and_not_the_start() {
         "person VALUES (1099511627781, 'Eve', 0, '[]', 0)",
         "source VALUES (9, 9, x'01', 1, 1, 1, 1)",
         "meta VALUES ('habits_version', 4)",
-        "habit VALUES (300, 0, 0, 0, 0, 0, 1.0, 1)",
+        "habit VALUES (1, 1, '[[1]]')",
+        "changed_map VALUES ('1', '2', CAST(x'ff' AS TEXT))",
     ];
     rows.iter().for_each(|row| own.plant(&format!("INSERT INTO {row}")));
     own.plant("UPDATE expectation SET person = 1099511627781");
@@ -79,21 +84,26 @@ fn values_that_no_sound_row_has_cost_their_rows_and_not_the_start() {
         assert_eq!(recovered.observations, [observation(1)]);
         assert!(aside(directory.path()).is_none(), "a start sets nothing aside");
         assert!(recovered.persons.is_empty() && recovered.habits.unwrap().is_damaged());
+        assert_eq!(recovered.map, Some(KeptMap::default()));
     }
 }
 
 #[test]
-fn each_departure_of_a_visitor_comes_back_at_its_place_also_from_the_first_schema() {
+fn each_departure_of_a_visitor_comes_back_at_its_place_also_from_the_first_schema_and_so_do_habits() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join(FILE);
     let old = Connection::open(&path).unwrap();
     old.execute_batch("CREATE TABLE meta (key TEXT PRIMARY KEY, value ANY NOT NULL) WITHOUT ROWID, STRICT").unwrap();
     old.execute_batch(SCHEMA.migrations[0]).unwrap();
-    old.execute_batch("INSERT INTO departure VALUES (4, 0); PRAGMA user_version = 1").unwrap();
+    let rows = "INSERT INTO departure VALUES (4, 0); INSERT INTO habit VALUES (9, 65, 7, 300, 65535, 2, 0.1, 8), (9, 65, 7, 300, 65535, 3, 4, 8)";
+    old.execute_batch(&format!("{rows}; PRAGMA user_version = 1")).unwrap();
     old.pragma_update(None, "application_id", SCHEMA.application).unwrap();
     drop(old);
     fs::set_permissions(&path, PermissionsExt::from_mode(0o600)).unwrap();
     let (mut own, recovered) = writer(directory.path(), 1 << 20);
+    let counts = "SELECT group_concat(concat_ws(' ', kind, slot, after_1, after_2, after_3, symbol, count, touched_min)) FROM habit_count";
+    let counts = Connection::open(&path).unwrap().query_row(counts, [], |row| row.get::<_, String>(0)).unwrap();
+    assert_eq!(counts, "9 65 7 300 65535 2 0.1 8,9 65 7 300 65535 3 4.0 8");
     assert_eq!(recovered.forgotten, [(0, PersonId(4))]);
     own.write([1, 2, 3].map(|sequence| event(&observation(sequence)))).unwrap();
     for after in [1, 2] {
@@ -391,11 +401,22 @@ fn each_kind_of_record_comes_back() {
 #[test]
 fn a_damaged_database_is_set_aside() {
     let random = |seed: u64| seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407) >> 20;
+    let (scene, map) = maps();
     let whole = {
         let directory = tempfile::tempdir().unwrap();
         let (mut own, _) = writer(directory.path(), 1 << 20);
         flood(&mut own, 0..300);
+        own.write_map(map.clone()).unwrap();
+        let mut memory = Memory::new(HabitsOptions::default());
+        memory.habits.bind(vec!["bed".to_owned()], vec!["hall".to_owned()], vec![1.0]);
+        for hour in 0..300_u16 {
+            let at_s = 1e9 + 3_600.0 * f64::from(hour);
+            memory.habits.observe(&Turn { person: PersonId(1), label: Some(0), room: Some(0), at_s });
+        }
+        own.write_habits(&memory).unwrap();
         own.forget(PersonId(1), &|_, _| false).unwrap();
+        // With the note to erase, a start would remove the databases that were set aside.
+        own.plant("PRAGMA wal_checkpoint(TRUNCATE)");
         fs::read(directory.path().join(FILE)).unwrap()
     };
     let number = |name: &str, default| std::env::var(name).map_or(default, |number| number.parse().unwrap());
@@ -421,6 +442,10 @@ fn a_damaged_database_is_set_aside() {
             let (asides, saved) = &mut kinds[how as usize];
             (*asides, *saved) = (*asides + 1, *saved + recovered.observations.len() as u64);
         }
+        // Damaged ones are refused.
+        let read = recovered.map.and_then(|map| map.of(&scene));
+        assert!(read.is_none_or(|read| map.fingerprint == hex::encode(read.fingerprint())), "{round}");
+        let _refused = recovered.habits.map(|habits| habits.memory(HabitsOptions::default()).is_err());
         let lost = 300 - recovered.observations.len() as u64;
         assert!(set_aside.is_some() || lost <= recovered.damaged + u64::from(bytes.is_empty()) * 300, "{round}");
         journal.handle.append(&observation(1000));
@@ -514,6 +539,49 @@ fn old_files_do_not_come_back_after_the_database_is_lost() {
         assert_eq!(open().1.persons, []);
     }
     assert!(aside(directory.path()).is_some());
+}
+
+/// A scene, and a changed map of it.
+fn maps() -> (SemanticMap, KeptMap) {
+    let scene = SemanticMap::from_json(include_str!("../../../../tests/data/two_rooms.json")).unwrap();
+    let changed = scene.changed(parse_changes(r#"[{"change": "remove-item", "id": "sofa-1"}]"#).unwrap()).unwrap();
+    let kept = KeptMap::new(hex::encode(scene.fingerprint()), &changed);
+    (scene, kept)
+}
+
+/// A file of an earlier version has the first one.
+#[test]
+fn a_changed_map_outlives_the_daemon_but_not_its_scene_its_row_or_the_database() {
+    let directory = tempfile::tempdir().unwrap();
+    let (scene, kept) = maps();
+    let file = directory.path().join("changed-map.json");
+    let old = format!(r#"{{"base": "{}", "scene": {}}}"#, kept.scene, kept.map);
+    fs::write(&file, &old).unwrap();
+    let open = || {
+        let opened = Database::open(&directory.path().join(FILE), SCHEMA).unwrap();
+        Writer::open(opened, Some(directory.path().to_owned()), 1 << 20, &BOOT).unwrap()
+    };
+    let (mut own, recovered) = open();
+    assert_eq!(recovered.map.as_ref(), Some(&kept));
+    let first = recovered.map.unwrap().of(&scene).unwrap();
+    let second = first.changed(parse_changes(r#"[{"change": "remove-item", "id": "mug-1"}]"#).unwrap()).unwrap();
+    own.write_map(KeptMap::new(kept.scene, &second)).unwrap();
+    drop(own);
+    let (mut own, recovered) = open();
+    let map = recovered.map.unwrap();
+    assert_eq!(map.of(&scene).unwrap().fingerprint(), second.fingerprint());
+    assert!(map.of(&second).is_none());
+    // A flipped bit that SQLite does not see.
+    own.plant("UPDATE changed_map SET map = replace(map, 'sofa', 'sofb')");
+    assert!(own.recover().unwrap().map.unwrap().of(&scene).is_none());
+    drop(own);
+    fs::write(directory.path().join(FILE), "no database").unwrap();
+    fs::remove_file(directory.path().join("roomcast.db-wal")).unwrap();
+    for _ in 0..2 {
+        let (own, recovered) = open();
+        assert_eq!((recovered.map, own.progress.failures.load(Ordering::Relaxed)), (None, 1));
+    }
+    assert_eq!(fs::read_to_string(file).unwrap(), old);
 }
 
 #[test]
@@ -624,9 +692,6 @@ fn a_sync_waits_for_silence_and_not_longer_than_promised() {
 
 #[test]
 fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
-    use roomcast_core::habits::{HabitsOptions, Place, Turn};
-
-    use crate::daemon::Memory;
     use crate::daemon::habits::Heard;
 
     let directory = tempfile::tempdir().unwrap();
@@ -645,7 +710,7 @@ fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
     memory.habits.be(PersonId(1), Place::Elsewhere, 1e9 + 600.0);
     own.write_habits(&memory).unwrap();
     let other = Connection::open(directory.path().join(FILE)).unwrap();
-    let changes = || other.query_row("SELECT sum(count) FROM habit", [], |row| row.get::<_, f64>(0)).unwrap();
+    let changes = || other.query_row("SELECT sum(count) FROM habit_count", [], |row| row.get::<_, f64>(0)).unwrap();
     let before = changes();
     learn(&mut memory, 1, 5);
     own.write_habits(&memory).unwrap();
@@ -658,7 +723,7 @@ fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
     assert_eq!(again.habits.stored(), memory.habits.stored());
     assert_eq!((again.heard, again.watched_until_s), (memory.heard.clone(), memory.watched_until_s));
     // A flipped bit that SQLite does not see.
-    other.execute("UPDATE habit SET count = count + 1", []).unwrap();
+    other.execute("UPDATE habit SET touched_min = touched_min + 1", []).unwrap();
     let damaged = own.recover().unwrap().habits.unwrap().memory(options);
     assert!(damaged.unwrap_err().contains("checksum"));
     drop(other);
@@ -775,13 +840,15 @@ fn an_error_of_sqlite_is_said_once() {
 }
 
 #[test]
-fn a_failed_sync_writes_events_and_names_again_and_habits_that_were_never_written_stay_so() {
+fn a_failed_sync_writes_events_names_and_map_again_and_habits_that_were_never_written_stay_so() {
     let outer = tempfile::tempdir().unwrap();
     let (state, gone) = (outer.path().join("state"), outer.path().join("gone"));
     fs::create_dir(&state).unwrap();
     let (mut own, _) = writer(&state, 1 << 20);
     let ada = KeptPerson { number: PersonId(3), name: "Ada".to_owned(), resident: None, former: Vec::new() };
     own.write_persons(vec![ada.clone()]).unwrap();
+    let (_, map) = maps();
+    own.write_map(map.clone()).unwrap();
     own.write([event(&observation(1))]).unwrap();
     fs::rename(&state, &gone).unwrap();
     fs::create_dir(&state).unwrap();
@@ -791,4 +858,5 @@ fn a_failed_sync_writes_events_and_names_again_and_habits_that_were_never_writte
     let recovered = own.recover().unwrap();
     let sequences: Vec<_> = recovered.observations.iter().map(|own| own.sequence).collect();
     assert_eq!((sequences, recovered.persons, recovered.habits), (vec![1, 2], vec![ada], None));
+    assert_eq!(recovered.map, Some(map));
 }

@@ -10,6 +10,7 @@ use roomcast_database::rusqlite::{Error, ErrorCode};
 use roomcast_database::{Database, DatabaseError, Transaction, count_sync, is_damage};
 
 use roomcast_core::ids::PersonId;
+use sd_notify::NotifyState;
 
 use super::forget::{self, IsTheirs};
 use super::learned::HabitRows;
@@ -17,6 +18,8 @@ use super::record::{KeptPerson, Record};
 use super::recovered::Recovered;
 use super::{Progress, old, store};
 use crate::daemon::habits::Memory;
+use crate::daemon::map_change::KeptMap;
+use crate::notify::notify;
 
 /// Silence before a sync.
 const QUIET_BEFORE_SYNC: Duration = Duration::from_millis(100);
@@ -121,6 +124,8 @@ pub struct Writer {
     habits: Option<HabitRows>,
     /// The persons in the database.
     persons: Vec<KeptPerson>,
+    /// The changed map in the database.
+    map: Option<KeptMap>,
     pub(super) progress: Arc<Progress>,
 }
 
@@ -150,6 +155,7 @@ impl Writer {
             trimmed: 0,
             habits: None,
             persons: Vec::new(),
+            map: None,
             progress,
         };
         let recovered = match writer.start() {
@@ -160,6 +166,8 @@ impl Writer {
             started => started?,
         };
         writer.tell_bytes();
+        let damaged = writer.tell_set_aside();
+        writer.progress.failures.store(damaged, Ordering::Relaxed);
         Ok((writer, recovered))
     }
 
@@ -180,6 +188,7 @@ impl Writer {
         let recovered = self.recover()?;
         self.habits.clone_from(&recovered.habits);
         self.persons.clone_from(&recovered.persons);
+        self.map.clone_from(&recovered.map);
         Ok(recovered)
     }
 
@@ -212,12 +221,16 @@ impl Writer {
         let is_new = self.number == 0 && self.database.set_aside().next().is_none();
         let records = if is_new { old::read(directory, self.bytes_max, &self.boot_id) } else { Vec::new() };
         let persons = if is_new { old::persons(directory) } else { Vec::new() };
+        let map = is_new.then(|| old::changed_map(directory)).flatten();
         let (first, count) = (self.number + 1, records.len());
         self.database.write(|transaction| {
             let numbered = (first..).zip(&records);
             numbered.into_iter().try_for_each(|(number, record)| store::write(transaction, number, record))?;
             if !persons.is_empty() {
                 store::write_persons(transaction, &persons)?;
+            }
+            if map.is_some() {
+                store::write_map(transaction, map.as_ref())?;
             }
             store::note(transaction, OLD_FILES_READ)
         })?;
@@ -252,7 +265,7 @@ impl Writer {
             // SQLite does not know any more which part of the log it has copied, and a full disk has no other space.
             self.database.make_room().or_else(|error| if is_full(&error) { Ok(()) } else { Err(error) })?;
         }
-        let Self { database, queue, habits, persons, .. } = self;
+        let Self { database, queue, habits, persons, map, .. } = self;
         let known = habits.as_ref().filter(|habits| !habits.is_damaged());
         let before = known.filter(|_| !is_again);
         let rows = new.as_ref().or(known.filter(|_| is_again));
@@ -260,6 +273,7 @@ impl Writer {
             queue.unwritten().try_for_each(|(number, record)| store::write(transaction, *number, record))?;
             if is_again {
                 store::write_persons(transaction, persons)?;
+                store::write_map(transaction, map.as_ref())?;
             }
             rows.map_or(Ok(()), |rows| rows.write(transaction, before))
         })?;
@@ -288,11 +302,11 @@ impl Writer {
 
     /// After an error that says damage, the database is opened again with the next records. If the damage stays, a new database begins.
     fn recover_from(&mut self, error: &Error) {
-        if self.lacks_pages
-            && is_damage(error)
-            && let Err(error) = self.database.start_anew(error)
-        {
-            tracing::error!(%error, "the damaged state database cannot be set aside");
+        if self.lacks_pages && is_damage(error) {
+            match self.database.start_anew(error) {
+                Ok(()) => _ = self.tell_set_aside(),
+                Err(error) => tracing::error!(%error, "the damaged state database cannot be set aside"),
+            }
         }
         self.lacks_pages |= match error.sqlite_error_code() {
             Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => false,
@@ -394,10 +408,21 @@ impl Writer {
         Ok(())
     }
 
+    /// Replaces the changed map, on the disk.
+    ///
+    /// # Errors
+    /// When the disk refuses; then the old one stays.
+    pub(in crate::daemon) fn write_map(&mut self, map: KeptMap) -> Result<(), Error> {
+        self.synced(|transaction| store::write_map(transaction, Some(&map)))?;
+        self.map = Some(map);
+        Ok(())
+    }
+
     /// Removes all deleted data, also from the databases that were set aside.
     fn erase(&mut self) -> Result<(), Error> {
         self.is_to_erase = true;
         self.database.remove_set_aside().map_err(refused)?;
+        self.tell_set_aside();
         let erased = self.database.erase().and_then(|()| self.database.write(store::remove_to_erase));
         erased.inspect_err(|error| self.recover_from(error))?;
         self.is_to_erase = false;
@@ -416,6 +441,21 @@ impl Writer {
     #[doc(hidden)]
     pub fn plant(&mut self, statement: &str) {
         let _planted = self.database.connection().and_then(|connection| connection.execute_batch(statement));
+    }
+
+    /// Names the databases that were set aside, for `systemctl status` and the log. Gives their number.
+    fn tell_set_aside(&self) -> u64 {
+        let files: Vec<_> = self.database.set_aside().map(|file| file.display().to_string()).collect();
+        let (count, files) = (files.len() as u64, files.join(", "));
+        let status = if count > 0 { format!("set aside because of damage: {files}") } else { String::new() };
+        notify(&[NotifyState::Status(&status)]);
+        if count > 0 {
+            tracing::warn!(
+                files,
+                "damaged state databases lie aside: events, names, habits and a changed map can be missing since then; remove the files when the cause is known"
+            );
+        }
+        count
     }
 
     fn tell_bytes(&self) {
