@@ -469,7 +469,8 @@ impl Forecaster {
             let mut predicted = std::mem::take(&mut self.predicted);
             predicted.clear();
             // Without a minimum duration, the later of two simultaneous events would have little effect.
-            predicted.extend(self.ahead(self.one_action_on(at_s), 0.0, same_at_most));
+            let (out, belief) = (self.out(), self.belief());
+            predicted.extend(self.ahead((self.one_action_on(at_s), 0.0), same_at_most, out, |room| belief[room]));
             observed(&mut predicted);
             let total: f64 = predicted.iter().sum();
             if total > 0.0 {
@@ -593,22 +594,51 @@ impl Forecaster {
 
     /// Probability per room that the person is there at `now_s + horizon_s`. The sum with [`Forecaster::elsewhere`] is one.
     pub fn at(&self, now_s: f64, horizon_s: f64) -> impl ExactSizeIterator<Item = f64> {
-        self.ahead(now_s, horizon_s, 1.0)
+        let belief = self.belief();
+        self.ahead((now_s, horizon_s), 1.0, self.out(), |room| belief[room])
     }
 
-    /// As [`Self::at`], with a cap on the probability that the object in hand is still the same.
-    fn ahead(&self, now_s: f64, horizon_s: f64, same_at_most: f64) -> impl ExactSizeIterator<Item = f64> {
-        let out = self.out();
-        let back = out - self.elsewhere(now_s, horizon_s);
+    /// Writes the forecast per room, elsewhere last, of a person who surely is in a room for which `is_there` holds, or elsewhere if it holds for
+    /// `None`. Returns the probability of that; if it is zero, the whole belief counts.
+    pub fn write_given(
+        &self,
+        (now_s, horizon_s): (f64, f64),
+        is_there: impl Fn(Option<usize>) -> bool,
+        row: &mut [f64],
+    ) -> f64 {
+        let (belief, out) = (self.belief(), self.out());
+        let share = |room: usize| if is_there(Some(room)) { belief[room] } else { 0.0 };
+        let inside: f64 = (0..belief.len()).map(share).sum();
+        let [out_there, in_there] = [if is_there(None) { out } else { 0.0 }, (1.0 - out) * inside];
+        let total = out_there + in_there;
+        let is_possible = total > 0.0;
+        let out = if is_possible { out_there / total } else { out };
+        let given = |room| if is_possible { share(room) / inside.max(f64::MIN_POSITIVE) } else { belief[room] };
+        if let Some((elsewhere, rooms)) = row.split_last_mut() {
+            rooms.fill(0.0);
+            rooms.iter_mut().zip(self.ahead((now_s, horizon_s), 1.0, out, given)).for_each(|(p, own)| *p = own);
+            *elsewhere = self.still_out(out, now_s, horizon_s);
+        }
+        total
+    }
+
+    /// As [`Self::at`], with a cap on the probability that the object in hand is still the same, for a belief.
+    fn ahead(
+        &self,
+        (now_s, horizon_s): (f64, f64),
+        same_at_most: f64,
+        out: f64,
+        belief: impl Fn(usize) -> f64,
+    ) -> impl ExactSizeIterator<Item = f64> {
+        let back = out - self.still_out(out, now_s, horizon_s);
         let (object_age_s, horizon_s) = self.ages(now_s, horizon_s);
         let same_object = self.to_object.survival(object_age_s, horizon_s).min(same_at_most);
         let same_stay = self.stay.survival(0.0, horizon_s);
         let spent_s: f64 = self.spent_s.iter().sum();
-        let belief = self.belief();
-        (0..belief.len()).map(move |room| {
+        (0..self.belief.len()).map(move |room| {
             let long_run = self.spent_s[room] / spent_s;
             let after = same_stay * self.scores[room] + (1.0 - same_stay) * long_run;
-            let here = same_object * belief[room] + (1.0 - same_object) * after;
+            let here = same_object * belief(room) + (1.0 - same_object) * after;
             back * long_run + (1.0 - out) * here
         })
     }
@@ -616,8 +646,13 @@ impl Forecaster {
     /// Probability that the person is out of the house at `now_s + horizon_s`.
     #[must_use]
     pub fn elsewhere(&self, now_s: f64, horizon_s: f64) -> f64 {
+        self.still_out(self.out(), now_s, horizon_s)
+    }
+
+    /// The same for a person who is out now with this probability.
+    fn still_out(&self, out: f64, now_s: f64, horizon_s: f64) -> f64 {
         let gone_s = self.away_since_s.map_or(0.0, |since_s| (now_s - since_s).max(0.0));
-        match self.out() {
+        match out {
             0.0 => 0.0,
             out => out * self.away.survival(gone_s, horizon_s.max(0.0)),
         }
@@ -1074,6 +1109,16 @@ mod tests {
                     prop_assert!(rooms.iter().chain([&elsewhere]).all(|p| (0.0..=1.0 + 1e-12).contains(p)));
                     prop_assert!(elsewhere <= before && (left || elsewhere == 0.0));
                     before = elsewhere;
+                    // The forecast is the mean of the forecasts from each place.
+                    let mut mean = [0.0; 4];
+                    for place in (0..3).map(Some).chain([None]) {
+                        let mut row = [0.0; 4];
+                        let p = forecaster.write_given((now_s + wait_s, horizon_s), |other| other == place, &mut row);
+                        prop_assert!((row.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+                        mean.iter_mut().zip(row).for_each(|(sum, own)| *sum += p * own);
+                    }
+                    let all = rooms.iter().chain([&elsewhere]);
+                    prop_assert!(all.zip(mean).all(|(p, mean)| (p - mean).abs() < 1e-9), "{rooms:?} {mean:?}");
                 }
                 out = what == 0 || out && what == 4;
                 prop_assert_eq!(forecaster.elsewhere(now_s, 0.0), f64::from(u8::from(out)));

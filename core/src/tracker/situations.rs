@@ -348,6 +348,20 @@ fn a_visitor_who_comes_in_is_counted_and_no_resident_is_moved() {
     play.expect(play.p(MIRA, LIVING) > 0.9 && play.p(JON, OFFICE) > 0.9);
 }
 
+/// One slot stands for both visitors, so a resident may be believed in the room of one of them, but not out of the house.
+#[test]
+fn two_visitors_in_two_rooms_turn_no_resident_out_of_the_house() {
+    let mut play = Play::new();
+    play.put(MIRA, LIVING).on(S::PresenceLiving).put(JON, OFFICE).on(S::PresenceOffice).after(900.0);
+    play.on(S::FrontDoor).after(2.0).on(S::MotionHall).after(10.0).off(S::FrontDoor).after(2.0);
+    play.on(S::MotionKitchen).after(3.0).on(S::MotionBath).after(50.0).off(S::MotionHall);
+    for _ in 0..10 {
+        play.after(30.0).off(S::MotionKitchen).off(S::MotionBath).after(30.0).on(S::MotionKitchen).on(S::MotionBath);
+        play.expect(play.out(MIRA) < 0.01 && play.out(JON) < 0.01 && play.tracker.visited() > 0.9);
+        play.expect(play.tracker.occupied(KITCHEN) > 0.9 && play.tracker.occupied(BATH) > 0.9);
+    }
+}
+
 #[test]
 fn a_single_resident_is_followed_through_the_home() {
     let mut tracker = Tracker::new(rooms(), Options::default(), 0.0);

@@ -10,8 +10,9 @@ use super::{maps, report_faults};
 use roomcast_cli::exit_code;
 use roomcast_cli::{CommandResult, Failure, print, print_json, ranges, table};
 use roomcast_core::tracker::{Options, TrackerError};
-use roomcast_lab::experiment::persons::{self, Method, Row, Setup};
+use roomcast_lab::experiment::persons::{self, Method, Row, Setup, ahead};
 use roomcast_lab::experiment::{Progress, prediction};
+use roomcast_lab::home_simulation::days::VISITS;
 use roomcast_lab::home_simulation::plan::Device;
 use roomcast_lab::home_simulation::recorded::Recorded;
 
@@ -40,9 +41,18 @@ pub(super) struct PersonsArgs {
     /// A cat lives there and sets off motion sensors.
     #[arg(long)]
     pet: bool,
+    /// Share of days with one or two guests.
+    #[arg(long, value_name = "SHARE", default_value_t = VISITS, value_parser = ranges::share)]
+    visits: f64,
     /// Most joint states that the filter keeps; a home of two or one keeps half.
     #[arg(long, value_name = "N", default_value_t = Options::default().states, value_parser = ranges::whole(2..=100_000_usize))]
     states: usize,
+    /// Slots of the filter for unknown persons.
+    #[arg(long, value_name = "N", default_value_t = Options::default().unknown, value_parser = ranges::whole(0..=4_usize))]
+    unknown: usize,
+    /// The forecast of later places instead: of one home for all days, by the filter and by the daemon.
+    #[arg(long, conflicts_with_all = ["household", "programs", "exact"])]
+    ahead: bool,
     /// Also run the filter that keeps every joint state, in homes of one or two: minutes for each day of two residents.
     #[arg(long)]
     exact: bool,
@@ -78,7 +88,7 @@ pub(super) fn run(args: &PersonsArgs) -> CommandResult {
     let methods = [Method::Tracker, Method::Exact, Method::Assigned, Method::LastSensor];
     let methods: Vec<Method> = methods.into_iter().filter(|own| *own != Method::Exact || args.exact).collect();
     let progress = Progress::new("homes", residents.len() * lacks.len() * args.days.div_ceil(10));
-    let mut rows = Vec::new();
+    let (mut rows, mut later) = (Vec::new(), Vec::new());
     for residents in residents {
         let recorded = recorded(args, residents)?.map(Arc::new);
         for without in &lacks {
@@ -88,14 +98,24 @@ pub(super) fn run(args: &PersonsArgs) -> CommandResult {
                 days: args.days,
                 seed: args.seed,
                 pet: args.pet,
-                tracker: Options { states: args.states, ..Options::default() },
+                visits: args.visits,
+                tracker: Options { states: args.states, unknown: args.unknown, ..Options::default() },
                 recorded: recorded.clone(),
             };
+            if args.ahead {
+                later.extend(ahead::run(&setup).map_err(|fault| Failure::new(exit_code::INPUT, fault.to_string()))?);
+                continue;
+            }
             rows.extend(persons::run(&setup, &methods, || progress.step()).map_err(failed)?);
         }
     }
     drop(progress);
-    if args.json { print_json(&serde_json::json!({"seed": args.seed, "rows": rows})) } else { print(&text(&rows)) }
+    match (args.ahead, args.json) {
+        (true, true) => print_json(&serde_json::json!({"seed": args.seed, "rows": later})),
+        (true, false) => print(&text_ahead(&later)),
+        (false, true) => print_json(&serde_json::json!({"seed": args.seed, "rows": rows})),
+        (false, false) => print(&text(&rows)),
+    }
 }
 
 fn recorded(args: &PersonsArgs, residents: usize) -> Result<Option<Recorded>, Failure> {
@@ -124,6 +144,21 @@ fn recorded(args: &PersonsArgs, residents: usize) -> Result<Option<Recorded>, Fa
     Ok(Some(own))
 }
 
+fn text_ahead(rows: &[ahead::Row]) -> String {
+    let mut table = table(&["residents", "without", "ahead, s", "method", "loss, nats", "loss of a room, nats"]);
+    for row in rows {
+        table.add_row([
+            row.residents.to_string(),
+            row.without.join(", "),
+            row.ahead_s.to_string(),
+            row.method.to_owned(),
+            format!("{:.4}", row.log_loss_nats),
+            row.occupied_nats.map_or_else(String::new, |nats| format!("{nats:.4}")),
+        ]);
+    }
+    format!("{table}\n")
+}
+
 fn text(rows: &[Row]) -> String {
     let header = [
         "residents",
@@ -131,6 +166,7 @@ fn text(rows: &[Row]) -> String {
         "method",
         "right %",
         "rooms %",
+        "with 1, 2 visitors",
         "loss, nats",
         "calibration",
         "wrong > .9, %",
@@ -154,6 +190,7 @@ fn text(rows: &[Row]) -> String {
             method.to_owned(),
             format!("{:.1}", 100.0 * row.right),
             format!("{:.1}", 100.0 * row.rooms),
+            row.rooms_visited.map(|rooms| format!("{:.1}", 100.0 * rooms)).join(", "),
             format!("{:.3}", row.log_loss_nats),
             format!("{:.3}", row.calibration_error),
             format!("{:.2}", 100.0 * row.wrong_and_sure),

@@ -3,6 +3,7 @@
 //! A home lives for ten days; then another home with other people begins, and the filter starts again. Each minute is scored once, at a random
 //! second. The filter's defaults were tuned on seeds from 1 000 on; the tables use small seeds.
 
+pub mod ahead;
 mod robot;
 
 use std::sync::Arc;
@@ -41,6 +42,8 @@ pub struct Setup {
     pub seed: u64,
     /// Whether a cat lives there.
     pub pet: bool,
+    /// Share of days with guests.
+    pub visits: f64,
     /// Settings of the filter.
     pub tracker: TrackerOptions,
     /// Days from elsewhere; written days if `None`.
@@ -78,6 +81,8 @@ pub struct Row {
     pub right: f64,
     /// Rooms rightly occupied or free.
     pub rooms: f64,
+    /// The same while one visitor is in, and while two are.
+    pub rooms_visited: [f64; 2],
     /// Mean of -ln P(true place) per person.
     pub log_loss_nats: f64,
     /// Expected calibration error of the most probable place.
@@ -104,6 +109,8 @@ struct Sums {
     sure: f64,
     rooms: f64,
     rooms_right: f64,
+    /// By the number of visitors: rooms, and those rightly occupied or free.
+    visited: [[f64; 2]; 3],
     minutes: f64,
     empty_wrong: f64,
     bins: [[f64; 3]; BINS],
@@ -131,6 +138,8 @@ impl Sums {
             (&mut self.seconds, other.seconds),
         ];
         pairs.into_iter().for_each(|(own, more)| *own += more);
+        let visited = self.visited.as_flattened_mut().iter_mut().zip(other.visited.as_flattened());
+        visited.for_each(|(own, more)| *own += more);
         self.work.add(&other.work);
         for (own, more) in self.bins.iter_mut().zip(&other.bins) {
             own.iter_mut().zip(more).for_each(|(own, more)| *own += more);
@@ -148,6 +157,7 @@ impl Sums {
             days: setup.days,
             right: of(self.right, self.persons),
             rooms: of(self.rooms_right, self.rooms),
+            rooms_visited: [1, 2].map(|visitors: usize| of(self.visited[visitors][1], self.visited[visitors][0])),
             log_loss_nats: of(self.loss, self.persons),
             calibration_error: of(self.bins.iter().map(error).sum(), self.persons),
             wrong_and_sure: of(self.sure, self.persons),
@@ -205,7 +215,7 @@ fn home(setup: &Setup, block: usize, methods: &[Method]) -> Result<Vec<Sums>, Tr
         Some(recorded) => (recorded.plan.clone(), recorded_days(recorded, block * HOME_DAYS, days)),
         None => {
             let plan = Plan::of_residents(setup.residents)?;
-            let truth = days::written(&plan, days, true, &mut random);
+            let truth = days::written(&plan, days, setup.visits, &mut random);
             (plan, truth)
         }
     };
@@ -298,10 +308,15 @@ fn score(plan: &Plan, truth: &Truth, second: usize, own: &dyn Believer, sums: &m
         bin[1] += f64::from(u8::from(right));
         bin[2] += p;
     }
+    let visitors = truth.visitors.iter().filter(|life| life.room[second].is_some()).count().min(2);
     for room in 0..rooms {
         let occupied = truth.places(second).any(|place| place == Some(room));
+        let right = f64::from(u8::from((own.occupied(room) > 0.5) == occupied));
         sums.rooms += 1.0;
-        sums.rooms_right += f64::from(u8::from((own.occupied(room) > 0.5) == occupied));
+        sums.rooms_right += right;
+        let of_visited = &mut sums.visited[visitors];
+        of_visited[0] += 1.0;
+        of_visited[1] += right;
     }
     let is_in = truth.places(second).any(|place| place.is_some());
     sums.minutes += 1.0;
@@ -559,7 +574,7 @@ mod tests {
 
     fn setup(residents: usize, days: usize) -> Setup {
         let (without, tracker) = (Vec::new(), TrackerOptions::default());
-        Setup { residents, without, days, seed: 7, pet: false, tracker, recorded: None }
+        Setup { residents, without, days, seed: 7, pet: false, visits: days::VISITS, tracker, recorded: None }
     }
 
     #[test]

@@ -35,10 +35,12 @@ enum What {
 }
 
 const HOUR: f64 = 3_600.0;
+/// The usual share of days with guests.
+pub const VISITS: f64 = 0.15;
 
-/// Days of a home.
+/// Days of a home, a share of them with one or two guests.
 #[must_use]
-pub fn written(plan: &Plan, days: usize, visitors: bool, random: &mut impl RngExt) -> Truth {
+pub fn written(plan: &Plan, days: usize, visits: f64, random: &mut impl RngExt) -> Truth {
     let characters: Vec<Character> =
         plan.bedrooms.iter().enumerate().map(|(number, room)| character(number, *room, random)).collect();
     let mut residents: Vec<Body<'_>> = characters.iter().map(|own| Body::new(plan, own.bedroom)).collect();
@@ -48,7 +50,7 @@ pub fn written(plan: &Plan, days: usize, visitors: bool, random: &mut impl RngEx
         for ((body, character), agenda) in residents.iter_mut().zip(&characters).zip(&agendas) {
             body.live(character, day * DAY_S, agenda, random);
         }
-        let has_guests = visitors && random.random_bool(0.15);
+        let has_guests = random.random_bool(visits);
         let from = (normal(random, 15.0 * HOUR, 2.5 * HOUR).clamp(9.0 * HOUR, 20.0 * HOUR)) as usize;
         // Guests come if a resident opens the door.
         let is_home = |body: &Body<'_>| body.life.room.get(day * DAY_S + from).copied().flatten().is_some();
@@ -288,7 +290,7 @@ mod tests {
     fn written_days_repeat_by_seed_and_walk_through_doors() {
         for residents in 1..=4 {
             let plan = Plan::of_residents(residents).unwrap();
-            let days = |seed| written(&plan, 3, true, &mut rand_chacha::ChaCha8Rng::seed_from_u64(seed));
+            let days = |seed| written(&plan, 3, VISITS, &mut rand_chacha::ChaCha8Rng::seed_from_u64(seed));
             let truth = days(5);
             assert!(truth == days(5) && truth != days(6));
             assert_eq!(truth.residents.len(), residents);

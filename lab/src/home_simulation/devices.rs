@@ -337,7 +337,7 @@ mod tests {
         let plan = Plan::of_residents(2).unwrap();
         let run = || {
             let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(3);
-            let truth = days::written(&plan, 2, true, &mut random);
+            let truth = days::written(&plan, 2, days::VISITS, &mut random);
             reports(&plan, &truth, &[], Extras { pet: true, robot: true }, &mut random)
         };
         let own = run();

@@ -241,7 +241,8 @@ impl<M: LanguageModel> Engine<M> {
         }
         self.belief.local_ahead_s = self.home.local_ahead_s(now_ns, now_unix_ns);
         self.watch();
-        self.home.tick(now_ns, now_unix_ns, &self.belief.followed);
+        self.belief.track(self.scoring.pipeline.grounding(), now_ns);
+        self.home.tick(now_ns, now_unix_ns, self.belief.forecasters());
         true
     }
 

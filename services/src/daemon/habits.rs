@@ -167,9 +167,10 @@ pub struct HomeHabits {
     replaced: Vec<(PersonId, Place)>,
     /// Persons with new scores.
     rescored: Vec<PersonId>,
-    /// Working memory: the model's label scores, and forecasts without habits.
+    /// Working memory: the model's label scores; forecasts without habits, and the same of a person who surely is where the habits assume.
     model: Vec<f64>,
     shipped: Vec<f64>,
+    given: Vec<f64>,
     held: Vec<bool>,
 }
 
@@ -203,6 +204,7 @@ impl HomeHabits {
             rescored: Vec::new(),
             model: Vec::new(),
             shipped: Vec::new(),
+            given: Vec::new(),
             held: Vec::new(),
         }
     }
@@ -439,12 +441,29 @@ impl HomeHabits {
         let Some((_, now_s)) = self.clock else { return };
         let from_s = now_ns.seconds();
         for (person, own) in followed {
+            if own.is_tracked() {
+                self.believe(*person, own, (from_s, now_s));
+            }
             if self.memory.habits.place(*person).is_some() {
-                self.memory.habits.tick(*person, now_s, &mut |ahead_s, out| write_shipped(own, from_s, ahead_s, out));
+                let mut shipped = |ahead_s: f64, row: &mut [f64]| _ = own.write_given((from_s, ahead_s), |_| true, row);
+                self.memory.habits.tick(*person, now_s, &mut shipped);
             }
         }
         self.changed |= self.learn && !followed.is_empty();
         self.state += 1;
+    }
+
+    /// Takes the place that the joint filter is sure of. Events that several persons can have caused tell no place, and the filter learns later whose they were.
+    fn believe(&mut self, person: PersonId, own: &Forecaster, (from_s, now_s): (f64, f64)) {
+        /// Less probable places are no habit.
+        const KNOWN: f64 = 0.9;
+        let out = own.elsewhere(from_s, 0.0);
+        let room = own.belief().iter().position(|p| (1.0 - out) * p > KNOWN).map(Place::Room);
+        let Some(place) = room.or((out > KNOWN).then_some(Place::Elsewhere)) else { return };
+        let is_known = self.memory.habits.persons().any(|(known, _)| known == person);
+        if is_known && self.memory.habits.place(person) != Some(place) {
+            self.memory.habits.be(person, place, now_s);
+        }
     }
 
     /// A person's forecast per horizon (always the same horizons, now first) and place, row by row, elsewhere last. For now it is the joint filter's
@@ -462,32 +481,39 @@ impl HomeHabits {
         if ahead.of != Some(of) {
             ahead.of = None;
             let from_s = now_ns.seconds();
-            let out = own.elsewhere(from_s, 0.0);
-            let sure = match self.memory.habits.place(person) {
-                Some(Place::Elsewhere) => out,
-                Some(Place::Room(room)) => (1.0 - out) * own.belief().get(room).copied().unwrap_or_default(),
-                None if self.memory.habits.is_back(person) => 1.0 - out,
-                None => 0.0,
+            let (place, is_back) = (self.memory.habits.place(person), self.memory.habits.is_back(person));
+            let is_there = |room: Option<usize>| match place {
+                Some(Place::Elsewhere) => room.is_none(),
+                Some(Place::Room(own)) => room == Some(own),
+                // The joint filter knows the room better than the earlier returns.
+                None => is_back && room.is_some() && !own.is_tracked(),
             };
             let places = self.memory.habits.places();
             let is_known = self.memory.habits.persons().any(|(known, _)| known == person);
             if own.belief().len() + 1 != places || !is_known {
                 return None;
             }
-            self.shipped.clear();
-            self.shipped.resize(horizons_s.len() * places, 0.0);
-            for (row, ahead_s) in self.shipped.chunks_exact_mut(places).zip(horizons_s) {
-                write_shipped(own, from_s, f64::from(*ahead_s), row);
-            }
             let horizons_s = horizons_s.map(f64::from);
+            let mut sure = 0.0;
+            for rows in [&mut self.shipped, &mut self.given] {
+                rows.clear();
+                rows.resize(horizons_s.len() * places, 0.0);
+            }
+            let rows = self.shipped.chunks_exact_mut(places).zip(self.given.chunks_exact_mut(places));
+            for ((shipped, given), ahead_s) in rows.zip(horizons_s) {
+                own.write_given((from_s, ahead_s), |_| true, shipped);
+                sure = own.write_given((from_s, ahead_s), is_there, given);
+            }
             let Prefetcher { probability, shares, sets, .. } = ahead;
-            self.memory.habits.at_times(person, (now_s, &horizons_s), &self.shipped, probability, shares);
+            self.memory.habits.at_times(person, (now_s, &horizons_s), &self.given, probability, shares);
             // Thresholds of sets were learned while the believed place was the habits' place. Otherwise sets cover the belief.
             sets.clear();
-            let rows = probability.chunks_exact_mut(places).zip(self.shipped.chunks_exact(places));
-            for ((row, shipped), horizon_s) in rows.zip(horizons_s) {
+            let rows = self.shipped.chunks_exact(places).zip(self.given.chunks_exact(places));
+            for ((row, (shipped, given)), horizon_s) in probability.chunks_exact_mut(places).zip(rows).zip(horizons_s) {
+                // The belief outside of that place keeps the forecast without habits.
                 let mix = |row: &mut [f64]| {
-                    row.iter_mut().zip(shipped).for_each(|(p, own)| *p = sure * *p + (1.0 - sure) * own);
+                    let rest = shipped.iter().zip(given).map(|(all, given)| (all - sure * given).max(0.0));
+                    row.iter_mut().zip(rest).for_each(|(p, rest)| *p = sure * *p + rest);
                 };
                 let is_elsewhere = sure <= SURE;
                 if is_elsewhere {
@@ -635,14 +661,6 @@ impl HomeHabits {
 /// The room with more than [`SURE`] probability; at most one can have it.
 fn sure_of(belief: &[f64]) -> Option<usize> {
     belief.iter().position(|p| *p > SURE)
-}
-
-/// Writes the forecast without habits; elsewhere comes last.
-fn write_shipped(own: &Forecaster, now_s: f64, ahead_s: f64, out: &mut [f64]) {
-    let Some((elsewhere, rooms)) = out.split_last_mut() else { return };
-    rooms.fill(0.0);
-    rooms.iter_mut().zip(own.at(now_s, ahead_s)).for_each(|(p, own)| *p = own);
-    *elsewhere = own.elsewhere(now_s, ahead_s);
 }
 
 #[cfg(test)]
