@@ -8,7 +8,7 @@
 //! The state x holds a place per known person and per unknown person. An observation is a likelihood over joint states, never an assignment
 //! to a person, so an anonymous event that two persons can have caused leaves doubt about both. The attribution of an event is a posterior
 //! that is read off afterwards. [`Tracker::forecast`] is the same filter, run ahead without observations; the daemon publishes the forecast of
-//! habits that start from this belief, which is better.
+//! habits that start from this belief, which is better for the place of a person (docs/tables.md).
 //!
 //! | part | file |
 //! | --- | --- |

@@ -242,7 +242,8 @@ impl<M: LanguageModel> Engine<M> {
         self.belief.local_ahead_s = self.home.local_ahead_s(now_ns, now_unix_ns);
         self.watch();
         self.belief.track(self.scoring.pipeline.grounding(), now_ns);
-        self.home.tick(now_ns, now_unix_ns, self.belief.forecasters());
+        let is_learned_of = |person| self.attribution.is_learned_of(person);
+        self.home.tick((now_ns, now_unix_ns), self.belief.forecasters(), is_learned_of);
         true
     }
 

@@ -356,7 +356,8 @@ impl HomeHabits {
         habits.set_learning(self.learn);
     }
 
-    /// A person is in the house, in a reported room if any, or out of it. Inferred rooms are not learned, however likely.
+    /// A person is in the house, in a reported room if any, or out of it. Rooms that the person's own forecaster infers are not
+    /// learned, however likely; those of the joint filter are, once a minute.
     pub(super) fn is_in(&mut self, person: PersonId, at_ns: i64, told: Option<Place>) {
         let Some(at_s) = self.local_s(at_ns).filter(|_| self.next != Next::Nothing) else { return };
         let habits = &mut self.memory.habits;
@@ -435,14 +436,22 @@ impl HomeHabits {
     }
 
     /// Counts time for every followed person.
-    pub(super) fn tick(&mut self, now_ns: BootNs, now_unix_ns: UnixNs, followed: &BTreeMap<PersonId, Forecaster>) {
+    pub(super) fn tick(
+        &mut self,
+        (now_ns, now_unix_ns): (BootNs, UnixNs),
+        followed: &BTreeMap<PersonId, Forecaster>,
+        is_learned_of: impl Fn(PersonId) -> bool,
+    ) {
         self.set_clock(now_ns, now_unix_ns);
-        self.ticked_ns = now_ns;
+        // After a start, the place of the last event may be older than what the former run learned.
+        let is_first = std::mem::replace(&mut self.ticked_ns, now_ns) == BootNs(0);
         let Some((_, now_s)) = self.clock else { return };
         let from_s = now_ns.seconds();
         for (person, own) in followed {
-            if own.is_tracked() {
+            if own.is_tracked() && is_learned_of(*person) {
+                self.memory.habits.set_learning(self.learn && !is_first);
                 self.believe(*person, own, (from_s, now_s));
+                self.memory.habits.set_learning(self.learn);
             }
             if self.memory.habits.place(*person).is_some() {
                 let mut shipped = |ahead_s: f64, row: &mut [f64]| _ = own.write_given((from_s, ahead_s), |_| true, row);

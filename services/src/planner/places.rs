@@ -12,19 +12,28 @@ pub(super) struct Places {
     partitions: Vec<Partition>,
     /// The daemon that has scored this map, or one with the same rooms. If it changes its rooms later, the remaining ones keep their places.
     epoch: Option<u64>,
+    /// The log says that the maps differ in things, doors or shapes.
+    is_warned: bool,
 }
 
 impl Places {
     pub(super) fn new(map: SemanticMap, level: PartitionLevel) -> Self {
         let partitions = partitions(&map, level);
-        Self { map, partitions, epoch: None }
+        Self { map, partitions, epoch: None, is_warned: false }
     }
 
     pub(super) fn see(&mut self, scores: &RoomScoresV1) {
+        let is_same = self.map.fingerprint() == scores.map_fingerprint;
         let rooms = scores.rooms().iter().map(RoomV1::id);
-        if self.map.fingerprint() == scores.map_fingerprint
-            || rooms.eq(self.partitions.iter().map(|own| own.id.as_str()))
-        {
+        if !is_same && self.epoch != Some(scores.epoch) && rooms.eq(self.partitions.iter().map(|own| own.id.as_str())) {
+            if !std::mem::replace(&mut self.is_warned, true) {
+                tracing::warn!(
+                    "the daemon's map has the same rooms and is another one: doors and shapes come from the planner's scene.path; start both with one file if these differ"
+                );
+            }
+            self.epoch = Some(scores.epoch);
+        }
+        if is_same {
             self.epoch = Some(scores.epoch);
         }
     }

@@ -349,6 +349,7 @@ impl Driver {
     /// Handles the passing of time.
     #[must_use]
     pub fn tick(&mut self, now_ns: BootNs) -> Vec<Act> {
+        self.began_ns.get_or_insert(now_ns);
         let mut acts = Vec::new();
         self.step(now_ns, &mut acts);
         // Only about work: an idle robot must not appear to be at its ordered work. Nor must one that is away.

@@ -66,7 +66,7 @@ pub(super) enum Reason {
     Unclear,
     #[strum(serialize = "the map lacks the room of this sensor")]
     UnknownRoom,
-    #[strum(serialize = "there are too many persons for this sensor, or the map has too many rooms")]
+    #[strum(serialize = "there are too many persons for this sensor")]
     NoSensor,
 }
 

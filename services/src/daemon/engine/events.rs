@@ -162,7 +162,8 @@ impl<M: LanguageModel> Engine<M> {
                 let grounding = self.scoring.pipeline.grounding();
                 let mut rooms = [&report.room, &report.beyond].into_iter().flatten();
                 if let Some(unknown) = rooms.find(|room| self.map.room(room.as_str(), grounding).is_none()) {
-                    self.map.note_room(unknown.as_str(), grounding);
+                    self.map.note_room(unknown.as_str(), grounding, "its sensors are ignored");
+                    self.belief.sensors.lose((own.source, report), at_ns);
                     return Some(Reason::UnknownRoom);
                 }
                 let left = match self.belief.sensors.note((own.source, report), who_is, at_ns) {
@@ -427,7 +428,8 @@ impl<M: LanguageModel> Engine<M> {
             tracking.admit(observation.person);
         }
         if let Event::Present(Some(room)) = &observation.event {
-            self.map.note_room(room.as_str(), self.scoring.pipeline.grounding());
+            let effect = "the person counts as present, in no room in particular, or in any room of this name";
+            self.map.note_room(room.as_str(), self.scoring.pipeline.grounding(), effect);
         }
         let Some(at_ns) = at_ns else { return Ok(observation) };
         self.belief.see(Seen {
@@ -449,7 +451,7 @@ impl<M: LanguageModel> Engine<M> {
         if reporter.is_unknown && self.attribution.persons.is_guarded(None, at_ns.unwrap_or_default()) {
             return false;
         }
-        self.map.note_room(empty.as_str(), self.scoring.pipeline.grounding());
+        self.map.note_room(empty.as_str(), self.scoring.pipeline.grounding(), "nobody leaves it");
         // The belief has no rooms of a changed map yet.
         let (Some(at_ns), None) = (at_ns, &self.map.next_rooms) else { return true };
         // Earlier events come first.

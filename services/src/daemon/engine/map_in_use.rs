@@ -53,14 +53,14 @@ impl MapInUse {
     }
 
     /// Logs a room name that the map lacks, once.
-    pub(super) fn note_room(&mut self, room: &str, grounding: &Grounding) {
+    pub(super) fn note_room(&mut self, room: &str, grounding: &Grounding, effect: &str) {
         let is_unknown = self.is_scored() && self.room(room, grounding).is_none();
         if is_unknown && self.unknown_rooms.len() < UNKNOWN_ROOMS_LOGGED && self.unknown_rooms.insert(room.to_owned()) {
             let rooms: Vec<&str> = grounding.partitions().iter().map(|room| room.id.as_str()).collect();
             tracing::warn!(
                 room,
                 rooms = rooms.join(", "),
-                "the map has no single room of this name: the person counts as present, in no room in particular, or in any room of this name; correct the narrator, with a room's id, or the scene"
+                "the map has no single room of this name: {effect}; correct the narrator, with a room's id, or the scene"
             );
         }
     }

@@ -88,6 +88,14 @@ impl Sensors {
         Ok(left)
     }
 
+    /// A device reports from a room that the map lacks: its state is unknown until it reports from another one, or the map has the room.
+    pub(super) fn lose(&mut self, (source, report): (u64, &SensorReport), at_ns: i64) {
+        if let Some(last) = self.0.get_mut(&device_of(source, report)) {
+            last.report = Arc::new(SensorReport { on: None, ..(*last.report).clone() });
+            last.at_ns = last.at_ns.max(at_ns);
+        }
+    }
+
     fn drop_one(&mut self) -> Option<Device> {
         let mut devices = BTreeMap::<u64, usize>::new();
         self.0.keys().for_each(|(source, ..)| *devices.entry(*source).or_default() += 1);

@@ -399,7 +399,6 @@ fn what_somebody_else_does_with_the_robot_is_understood() {
     // A person has sent it out by its button.
     pair.robot
         .hear(&format!("{TOPIC}/MapSegmentationCapability/clean/set"), r#"{"segment_ids": ["1"], "iterations": 1}"#);
-    pair.decide(&decision(0, action::STAY, ""));
     pair.pass(5);
     let decided_ns = pair.now_s * S;
     pair.decide(&DecisionV1 { decided_ns, ..decision(1, action::GO, "office-4") });
