@@ -1581,7 +1581,7 @@ impl World {
             let is_undated = |said: &Observation| Observation { observed_ns: BootNs(0), ..said.clone() } == came;
             let is_said = |said: &Observation| *said == came || may_be && is_undated(said);
             ensure(self.ever.get(&name).is_some_and(is_said), || {
-                format!("the journal gives back what was never accepted: {again:?}")
+                format!("the journal gives back what was never accepted: {again:?}, but {:?}", self.ever.get(&name))
             })?;
             // Claimed events have an attribution; damage or a failed sync may have deleted it.
             let now = whose.get(&name);
