@@ -52,6 +52,7 @@ pub const SCHEMA: Schema = Schema {
         include_str!("journal/views.sql"),
         include_str!("journal/map.sql"),
         include_str!("journal/contexts.sql"),
+        include_str!("journal/found.sql"),
     ],
 };
 /// Records that may wait for the disk before the sender does.

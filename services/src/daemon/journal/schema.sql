@@ -19,7 +19,7 @@ CREATE TABLE event (
     may_be_form INTEGER NOT NULL,
     -- The table `moved` has its persons.
     is_told INTEGER NOT NULL DEFAULT 0,
-    -- CRC-32 of the narrator's words, plus `found`, plus the remainder of `observed_ns` by 1000000007.
+    -- CRC-32 of the narrator's words, plus `found` (0 if null, else one more), plus the remainder of `observed_ns` by 1000000007.
     checksum INTEGER NOT NULL,
     UNIQUE (source, epoch, sequence)
 ) STRICT;

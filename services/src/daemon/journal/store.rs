@@ -71,7 +71,9 @@ fn checksum(observation: &Observation, observed_ns: Option<i64>, found: Option<u
     let (kind, room, text) = columns(event);
     let said =
         format!("{source} {epoch} {sequence} {time} {person} {name:?} {count} {may_be_form} {kind} {room:?} {text:?}");
-    let added = observed_ns.unwrap_or_default() % 1_000_000_007 + i64::from(found.unwrap_or_default());
+    // One flipped bit makes 0 of null.
+    let found = found.map_or(0, |found| i64::from(found) + 1);
+    let added = observed_ns.unwrap_or_default() % 1_000_000_007 + found;
     i64::from(crc32fast::hash(said.as_bytes())) + added
 }
 
@@ -90,7 +92,7 @@ pub(super) fn write(transaction: &Transaction<'_>, id: i64, record: &Record) -> 
         Record::Found { of, person } => {
             let Some(event) = find(transaction, *of)? else { return Ok(()) };
             let mut set = transaction.prepare_cached(
-                "UPDATE event SET checksum = checksum - coalesce(found, 0) + ?2, found = ?2 WHERE id = ?1",
+                "UPDATE event SET checksum = checksum - coalesce(found + 1, 0) + ?2 + 1, found = ?2 WHERE id = ?1",
             )?;
             set.execute(params![event, person.0]).map(|_| ())
         }
