@@ -176,14 +176,13 @@ pub fn losses<M: LanguageModel>(
                 add(&mut window, &said[at], source);
             }
             heard = case.done;
-            let (mut forecaster, mut window) = (forecaster.clone(), window.clone());
-            if let Some(known) = before {
-                (forecaster, window) = known;
+            if let Some((forecaster, window)) = &mut before {
                 let last = &newest[heard - 1];
-                add(&mut window, last, source);
+                add(window, last, source);
                 forecaster.observe(at_s, mentions.last(last.as_str()), grounding, &[]);
                 forecaster.expect_next(grounding, &source.score(window.sentences(), &binding)?, 1.0, 0);
             }
+            let (forecaster, window) = before.as_ref().map_or((&forecaster, &window), |(own, window)| (own, window));
             let (Some(room), Some(expected)) = (case.room, forecaster.expected()) else { continue };
             let (tokens, bytes) = measure(source.language_model(), window.sentences());
             found.push(Case {

@@ -693,12 +693,16 @@ mod tests {
     }
 
     #[test]
-    fn of_two_names_of_a_room_the_one_that_excludes_it_counts() {
-        let text =
-            "[[planner.room]]\nid = \"Study\"\nevery_s = 60.0\n[[planner.room]]\nid = \"study\"\nexclude = true\n";
-        let config: Config = text.parse().unwrap();
+    fn of_two_entries_for_a_room_the_one_that_excludes_it_counts() {
+        let room = |id: &str, exclude| format!("[[planner.room]]\nid = \"{id}\"\nexclude = {exclude}\n");
+        let mut config: Config = [room("office", false), room("study", true), room("bed", true), room("bed-2", false)]
+            .concat()
+            .parse()
+            .unwrap();
+        // The planner resolves names by the map: both mean the study.
+        "study".clone_into(&mut config.planner.room[0].id);
         let excludes = |id| config.planner.needs_of(id).map(|room| room.exclude);
-        assert_eq!([excludes("study"), excludes("Study"), excludes("hall")], [Some(true), Some(true), None]);
+        assert_eq!(["study", "bed-1", "bed-2", "hall"].map(excludes), [Some(true), Some(true), Some(false), None]);
     }
 
     #[test]

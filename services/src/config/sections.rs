@@ -312,11 +312,12 @@ impl PlannerConfig {
         quiet.chain(self.room.iter_mut().map(|room| ("planner.room.id", &mut room.id)))
     }
 
-    /// The needs of a room; `None` without an entry. Of several names of one room, one that excludes it counts, then the id.
+    /// The needs of a room; `None` without an entry. An entry with the id counts before one with a name without its
+    /// number; of two such entries, the one that excludes the room.
     #[must_use]
     pub fn needs_of(&self, id: &str) -> Option<&RoomNeeds> {
-        let own = || self.room.iter().filter(|room| is_room(&room.id, id));
-        own().find(|room| room.exclude).or_else(|| own().find(|room| room.id == id)).or_else(|| own().next())
+        let own = self.room.iter().rev().filter(|room| is_room(&room.id, id));
+        own.max_by_key(|room| (room.id == id, room.exclude))
     }
 }
 

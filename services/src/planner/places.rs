@@ -23,19 +23,20 @@ impl Places {
     }
 
     pub(super) fn see(&mut self, scores: &RoomScoresV1) {
+        if self.epoch == Some(scores.epoch) {
+            return;
+        }
         let is_same = self.map.fingerprint() == scores.map_fingerprint;
         let rooms = scores.rooms().iter().map(RoomV1::id);
-        if !is_same && self.epoch != Some(scores.epoch) && rooms.eq(self.partitions.iter().map(|own| own.id.as_str())) {
-            if !std::mem::replace(&mut self.is_warned, true) {
-                tracing::warn!(
-                    "the daemon's map has the same rooms and is another one: doors and shapes come from the planner's scene.path; start both with one file if these differ"
-                );
-            }
-            self.epoch = Some(scores.epoch);
+        if !is_same && !rooms.eq(self.partitions.iter().map(|own| own.id.as_str())) {
+            return;
         }
-        if is_same {
-            self.epoch = Some(scores.epoch);
+        if !is_same && !std::mem::replace(&mut self.is_warned, true) {
+            tracing::warn!(
+                "the daemon's map has the same rooms and is another one: doors and shapes come from the planner's scene.path; start both with one file if these differ"
+            );
         }
+        self.epoch = Some(scores.epoch);
     }
 
     /// Whether this map fits the rooms of these scores.

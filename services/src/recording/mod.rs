@@ -781,6 +781,8 @@ mod tests {
     fn a_recording_is_not_overwritten_and_a_damaged_one_is_named() {
         let (_folder, path) = recorded(&messages());
         assert!(matches!(Recorder::create(&path), Err(RecordingError::Exists { .. })));
+        // A file without an end is not read to it.
+        assert!(matches!(read(Path::new("/dev/zero")), Err(RecordingError::Mcap { .. })));
         std::fs::write(&path, b"no recording").unwrap();
         assert!(matches!(read(&path), Err(RecordingError::Mcap { .. })));
     }
