@@ -110,9 +110,16 @@ mod tests {
             or: Some(person(2, "Mira")),
         };
         let place = PlaceLine { place: "hall".to_owned(), probability: 0.62, why: vec![why] };
-        let (house_empty, visited, noisy) = (0.0, 0.0, Vec::new());
-        let found =
-            Whereabouts { person: person(1, "Jon"), places: vec![place], house_empty, visited, is_joint: true, noisy };
+        let (house_empty, visited, visited_by_two, noisy) = (0.0, 0.0, 0.0, Vec::new());
+        let found = Whereabouts {
+            person: person(1, "Jon"),
+            places: vec![place],
+            house_empty,
+            visited,
+            visited_by_two,
+            is_joint: true,
+            noisy,
+        };
         let expected = "hall 62 %: motion hall-pir on, in the last minute, could be Jon or Mira: weak for";
         assert_eq!(line(&found).as_deref(), Some(expected));
         let mut other = found.clone();

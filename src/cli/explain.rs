@@ -209,7 +209,8 @@ fn told(found: &Whereabouts) -> String {
     }
     let _ = writeln!(text, "house empty: {:.0} %", 100.0 * found.house_empty);
     if found.is_joint {
-        let _ = writeln!(text, "an unknown person in the house: {:.0} %", 100.0 * found.visited);
+        let [one, two] = [found.visited, found.visited_by_two].map(|own| 100.0 * own);
+        let _ = writeln!(text, "unknown persons in the house: one or more {one:.0} %, two or more {two:.0} %");
     } else {
         text.push_str("No sensor reported yet, and no event of two possible persons: each event has one person.\n");
     }

@@ -1,4 +1,4 @@
-//! Who is where: one Bayesian filter over the joint places of all persons.
+//! One Bayesian filter over the joint places of all persons.
 //!
 //! ```text
 //! p(x, t + d)  = sum over x' of p(x', t) prod over persons of P(x'_i -> x_i in d)        motion.rs
@@ -19,12 +19,13 @@
 //! | the likelihood of each observation | `observe.rs` |
 //! | the observations that moved the belief | `trace.rs` |
 //!
-//! **Inference.** [`Options::exact`] keeps every joint state. The default keeps the 1 024 heaviest, and 512 for two persons, without random numbers: the same input gives
-//! the same belief to the bit. Motion and silence alternate in steps of half a second to 32 s (Strang splitting); steps double while the home
-//! is silent. An event takes at most two more: the rest of the time, the last 4 s apart. Time below half a second waits for the next step.
+//! **Inference.** The default keeps the 160 heaviest joint states of rooms, each with independent phases of its persons. [`Options::exact`] keeps
+//! every joint state of rooms and phases. Neither needs random numbers: the same input gives the same belief to the bit.
+//! Motion and silence alternate in steps of half a second to 32 s (Strang splitting), less than half of the time since the last observation
+//! or 4 s. An event takes at most two more: the rest of the time, the last 4 s apart. Time below half a second waits for the next step.
 //!
-//! **Unknown persons.** A fixed number of slots stands for visitors. They are elsewhere until they come in through a way out, and no
-//! observation turns a resident into one of them.
+//! **Unknown persons.** A fixed number of slots stands for visitors. They come in through a way out, or a text names one. No observation turns a
+//! resident into a visitor.
 //!
 //! **Sources.** Fortmann, Bar-Shalom and Scheffe (1983), joint probabilistic data association; Reid (1979), multiple hypothesis tracking; Oh,
 //! Russell and Sastry (2009), MCMC data association; Wilson and Atkeson (2005), simultaneous tracking and activity recognition with binary
@@ -51,11 +52,9 @@ pub use observe::{Observation, ROBOT_SILENT_S};
 pub use sensors::{SensorKind, SensorSpec};
 pub use trace::{Cause, Reason};
 
-use belief::{Belief, Key, SLOTS_MAX as SLOTS, State, occupied, place};
-use motion::{
-    ELSEWHERE, FINE, LONGEST, PHONELESS, Place, STEP_S, Tables, moving, places, room_of, settled, still, visibility,
-};
-use sensors::{CLASSES, Sensor};
+use belief::{Belief, Likelihood, SLOTS_MAX as SLOTS, State};
+use motion::{Column, FINE, LONGEST, Phases, Place, STEP_S, Tables, column_of, place_of, places, room_at};
+use sensors::{CLASSES, EMPTY, Sensor};
 use trace::Trace;
 
 /// Why a tracker cannot be set up.
@@ -84,10 +83,12 @@ pub enum TrackerError {
 /// Settings of the filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Options {
-    /// Most joint states that are kept; a home of two persons or one keeps half.
+    /// Most joint states that are kept.
     pub states: usize,
     /// States of a smaller probability are dropped.
     pub floor: f64,
+    /// Each phase has states of its own. Otherwise the phases are a distribution within each state.
+    pub phases_apart: bool,
     /// Slots for unknown persons.
     pub unknown: usize,
     /// Share of the people who pass a shut door without its sensor seeing it.
@@ -98,7 +99,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { states: 1_024, floor: 1e-7, unknown: 1, door_misses: 0.05, learns: true }
+        Self { states: 160, floor: 3e-7, phases_apart: false, unknown: VISITORS, door_misses: 0.05, learns: true }
     }
 }
 
@@ -106,7 +107,7 @@ impl Options {
     /// The exact filter: every joint state is kept. For homes of few persons, and as the reference for tests.
     #[must_use]
     pub fn exact() -> Self {
-        Self { states: usize::MAX, floor: 0.0, ..Self::default() }
+        Self { states: usize::MAX, floor: 0.0, phases_apart: true, ..Self::default() }
     }
 }
 
@@ -121,18 +122,16 @@ pub struct Tracker {
     now_s: f64,
     /// Until when the sensors' rates were learned.
     learned_s: f64,
-    /// Units of the next long step.
-    next: usize,
+    /// Units of long steps since the last observation that moved the belief.
+    quiet: usize,
     /// Seconds of silence that are not weighed yet.
     silent_s: f64,
     /// Per room: until when the robot explains what sensors see.
     robot_until_s: Vec<f64>,
-    /// The likelihood of silence, refilled for each step: of a place to the sensors of its room, and per slot and place to all sensors.
-    room_silence: Vec<f64>,
-    slot_silence: Vec<f64>,
-    /// Per slot and place, and per place with a more visible person in the room: probabilities.
-    placed: Vec<f64>,
-    hidden: Vec<f64>,
+    /// The likelihood of the present observation or silence.
+    likelihood: Likelihood,
+    /// Per column: the probability of each phase of the most visible person there.
+    seen: Vec<Phases>,
     /// Per slot: rooms, then elsewhere. And before the observation.
     marginals: Vec<f64>,
     earlier: Vec<f64>,
@@ -149,18 +148,16 @@ impl Tracker {
         let rooms = home.rooms();
         let unknown = options.unknown.min(SLOTS - 1);
         let mut own = Self {
-            belief: Belief::new(unknown, options.states.max(2), options.floor.clamp(0.0, 1e-5)),
+            belief: Belief::new(unknown, options.states.max(2), options.floor.clamp(0.0, 1e-5), options.phases_apart),
             tables: Tables::new(&home),
             sensors: Vec::new(),
             now_s: if now_s.is_finite() { now_s } else { 0.0 },
             learned_s: if now_s.is_finite() { now_s } else { 0.0 },
-            next: 1,
+            quiet: 0,
             silent_s: 0.0,
             robot_until_s: vec![f64::NEG_INFINITY; rooms],
-            room_silence: vec![1.0; places(rooms)],
-            slot_silence: Vec::with_capacity(SLOTS * places(rooms)),
-            placed: Vec::with_capacity(SLOTS * places(rooms)),
-            hidden: vec![0.0; places(rooms)],
+            likelihood: Likelihood::default(),
+            seen: vec![[0.0; 4]; 1 + rooms],
             marginals: Vec::with_capacity(SLOTS * (1 + rooms)),
             earlier: Vec::with_capacity(SLOTS * (1 + rooms)),
             classes: vec![EMPTY_ROOM; rooms],
@@ -192,22 +189,15 @@ impl Tracker {
     pub fn add_person(&mut self) -> Result<usize, TrackerError> {
         let usual = Movement::usual(&self.home, 12);
         let weights = usual.destination.iter().sum::<f64>().max(1e-9);
-        let mut prior = vec![(ELSEWHERE, 0.3)];
+        let mut prior = vec![(0, [0.3, 0.0, 0.0, 0.0])];
         for (room, weight) in usual.destination.iter().enumerate() {
-            prior.push((settled(room), 0.6 * weight / weights));
-            prior.push((moving(room), 0.1 * weight / weights));
+            let share = (weight / weights) as f32;
+            prior.push((1 + room as Column, [0.1 * share, 0.6 * share, 0.0, 0.0]));
         }
         self.belief.add(&prior)?;
         self.tables.add(usual);
-        self.limit();
         self.summarise();
         Ok(self.persons() - 1)
-    }
-
-    /// Sets the number of joint states that are kept. With 512, homes of two differ from the exact filter by .003 on average, and with 256 by up to .02.
-    fn limit(&mut self) {
-        let states = self.options.states.max(2);
-        self.belief.keep_at_most(if self.persons() > 2 { states } else { states.div_ceil(2).max(2) });
     }
 
     /// Removes a person. Persons with a higher index move down by one, and the person's own sensors become silent.
@@ -226,7 +216,6 @@ impl Tracker {
             }
         }
         self.trace.forget();
-        self.limit();
         self.summarise();
     }
 
@@ -298,7 +287,7 @@ impl Tracker {
         Ok(self.sensors.len() - 1)
     }
 
-    /// Puts another sensor in the place of one. What was learned of that one is forgotten. As [`Tracker::add_sensor`] otherwise.
+    /// Puts another sensor in the place of one. Its learned rates are forgotten. As [`Tracker::add_sensor`] otherwise.
     ///
     /// # Errors
     /// As [`Tracker::add_sensor`], and for a sensor that does not exist.
@@ -350,8 +339,7 @@ impl Tracker {
         [rest - last, last].into_iter().filter(|units| *units > 0).for_each(|units| self.step(units));
         if self.silent_s > 0.0 {
             self.fill_silence(self.silent_s);
-            let silence = silence(&self.room_silence, &self.slot_silence, self.belief.slots());
-            self.belief.weigh(silence);
+            self.belief.weigh(&mut self.likelihood);
             self.silent_s = 0.0;
         }
         self.summarise();
@@ -373,9 +361,13 @@ impl Tracker {
             // A copy of this filter that goes on from here shares the tables.
             self.fill();
         }
-        while now_s.is_finite() && now_s - self.now_s >= self.next as f64 * STEP_S {
-            self.step(self.next);
-            self.next = (2 * self.next).min(LONGEST);
+        loop {
+            let next = (self.quiet / 4).next_power_of_two().clamp(FINE, LONGEST);
+            if !now_s.is_finite() || now_s - self.now_s < next as f64 * STEP_S {
+                break;
+            }
+            self.step(next);
+            self.quiet += next;
         }
     }
 
@@ -385,10 +377,9 @@ impl Tracker {
         self.fill();
         let half_s = 0.5 * units as f64 * STEP_S;
         self.fill_silence(self.silent_s + half_s);
-        let silence = silence(&self.room_silence, &self.slot_silence, self.belief.slots());
         let set = usize::from(self.is_open());
         let (tables, unknown) = (&self.tables, self.unknown());
-        self.belief.step(silence, units, |slot| tables.of(number(slot, unknown), set));
+        self.belief.step(&mut self.likelihood, units, |slot| tables.of(number(slot, unknown), set));
         self.silent_s = half_s;
         self.now_s += units as f64 * STEP_S;
     }
@@ -403,35 +394,17 @@ impl Tracker {
         }
     }
 
-    /// The likelihood of silence for some seconds: per room by class, and per slot by place with the room's. Both are relative to empty rooms, so
-    /// that a held sensor makes an occupied room more probable.
+    /// The likelihood of silence for some seconds.
     fn fill_silence(&mut self, seconds: f64) {
-        let places = places(self.home.rooms());
-        let slots = self.belief.slots();
-        self.room_silence.fill(1.0);
-        self.slot_silence.clear();
-        self.slot_silence.resize(slots * places, 1.0);
+        self.likelihood.clear(1 + self.home.rooms(), self.belief.slots());
         for sensor in &self.sensors {
             let (Some(on), false) = (sensor.evidence(self.now_s), sensor.spec.kind == SensorKind::Door) else {
                 continue;
             };
             let robot = sensor.spec.room.is_some_and(|room| self.now_s < self.robot_until_s[room]);
             let flips = sensor.silence(on, robot);
-            let silent = flips.map(|flip| ((flips[0] - flip) * seconds).clamp(-30.0, 30.0).exp());
-            let own = match (sensor.slot, sensor.spec.room) {
-                (Some(slot), _) if slot < slots => &mut self.slot_silence[slot * places..(slot + 1) * places],
-                (None, Some(_)) => &mut self.room_silence[..],
-                _ => continue,
-            };
-            for (place, own) in own.iter_mut().enumerate() {
-                *own *= silent[sensor.class_of(place as Place, sensor.spec.room)];
-            }
-        }
-        // A state divides by these products: they stay above zero, however many sensors a room has.
-        const MOST: f64 = 1e18;
-        self.room_silence.iter_mut().for_each(|own| *own = own.clamp(1.0 / MOST, MOST));
-        for own in self.slot_silence.chunks_mut(places) {
-            own.iter_mut().zip(&self.room_silence).for_each(|(own, room)| *own = (*own * room).clamp(1.0 / MOST, MOST));
+            let silent = flips.map(|flip| ((flips[EMPTY] - flip) * seconds).clamp(-30.0, 30.0).exp());
+            sensor.weigh(silent, &mut self.likelihood);
         }
     }
 
@@ -452,37 +425,33 @@ impl Tracker {
 
     /// Refills the marginals from the joint states.
     fn summarise(&mut self) {
-        let (rooms, slots) = (self.home.rooms(), self.belief.slots());
-        let places = places(rooms);
-        self.placed.clear();
-        self.placed.resize(slots * places, 0.0);
-        self.hidden.fill(0.0);
+        let rooms = self.home.rooms();
         self.empty = 0.0;
-        for State { key, weight, .. } in self.belief.states() {
-            for (slot, place) in key.to_le_bytes()[..slots].iter().enumerate() {
-                self.placed[slot * places + usize::from(*place)] += weight;
-            }
-            if occupied(*key, slots, |place| self.hidden[usize::from(place)] += weight) == 0 {
-                self.empty += weight;
-            }
-        }
         self.marginals.clear();
-        self.marginals.resize(slots * (rooms + 1), 0.0);
-        self.classes.fill(EMPTY_ROOM);
-        for (at, p) in self.placed.iter().enumerate() {
-            let (slot, place) = (at / places, (at % places) as Place);
-            let room = room_of(place);
-            self.marginals[slot * (rooms + 1) + room.unwrap_or(rooms)] += p;
-            if let Some(room) = room {
-                self.classes[room][visibility(place)] += p;
+        self.marginals.resize(self.belief.slots() * (rooms + 1), 0.0);
+        self.seen.fill([0.0; 4]);
+        for state in self.belief.states() {
+            let weight = state.weight as f32;
+            let (any, mut several) = state.rooms();
+            if any == 0 {
+                self.empty += state.weight;
+            }
+            for ((column, phases), own) in state.slots().zip(self.marginals.chunks_exact_mut(rooms + 1)) {
+                let room = room_at(column);
+                own[room.unwrap_or(rooms)] += state.weight;
+                if room.is_some_and(|room| several >> room & 1 == 0) {
+                    add(&mut self.seen[usize::from(column)], weight, phases);
+                }
+            }
+            while several != 0 {
+                let column = several.trailing_zeros() as Column + 1;
+                add(&mut self.seen[usize::from(column)], weight, &state.seen(column));
+                several &= several - 1;
             }
         }
-        for (room, own) in self.classes.iter_mut().enumerate() {
-            for place in [moving(room), settled(room), still(room)] {
-                let seen = &mut own[visibility(place)];
-                *seen = (*seen - self.hidden[usize::from(place)]).max(0.0);
-            }
-            own[0] = (1.0 - own[1..].iter().sum::<f64>()).max(0.0);
+        for (own, seen) in self.classes.iter_mut().zip(&self.seen[1..]) {
+            let [moving, settled, still, _] = seen.map(|p| f64::from(p.max(0.0)));
+            *own = [(1.0 - moving - settled - still).max(0.0), still, settled, moving];
         }
     }
 
@@ -495,7 +464,7 @@ impl Tracker {
         self.earlier.clone_from(&self.marginals);
         let trust = if trust.is_finite() { trust.clamp(0.05, 0.999) } else { 0.5 };
         let Some(cause) = observe::weigh(self, observation, trust) else { return };
-        self.next = FINE;
+        self.quiet = 0;
         let shares = observe::attribute(self, observation);
         self.trace.record(self.now_s, cause, shares, (&self.earlier, &self.marginals));
     }
@@ -536,11 +505,12 @@ impl Tracker {
         self.empty
     }
 
-    /// Probability that an unknown person is in the house.
+    /// Probability that at least so many unknown persons are in the house.
     #[must_use]
-    pub fn visited(&self) -> f64 {
-        let is_in = |key: Key| (0..self.unknown()).any(|slot| room_of(place(key, slot)).is_some());
-        self.belief.states().iter().filter(|state| is_in(state.key)).fold(0.0, |sum, state| sum + state.weight)
+    pub fn visitors(&self, at_least: usize) -> f64 {
+        let visitors = |state: &State<'_>| state.slots().take(self.unknown()).filter(|(column, _)| *column > 0).count();
+        let states = self.belief.states().filter(|state| visitors(state) >= at_least);
+        states.fold(0.0, |sum, state| sum + state.weight)
     }
 
     /// Attribution of the last observation: the probability that a person caused it.
@@ -582,50 +552,48 @@ impl Tracker {
             return own.forecast(horizon_s);
         }
         let (rooms, slots) = (self.home.rooms(), self.belief.slots());
-        let places = places(rooms);
+        let (places, columns) = (places(rooms), rooms + 1);
         let set = usize::from(self.is_open());
-        let mut later: Vec<Option<Vec<f64>>> = vec![None; slots * places];
         let (mut own, mut spare) = (Vec::new(), vec![0.0; places]);
+        // Per slot, place and column.
+        let mut later = vec![0.0; slots * places * columns];
+        let mut run = |slot: usize, place: usize, ahead: &mut [f64]| {
+            own.clear();
+            own.resize(places, 0.0);
+            own[place] = 1.0;
+            self.tables.of(number(slot, self.unknown()), set).run(horizon_s.min(HORIZON_S), &mut own, &mut spare);
+            own.iter().enumerate().for_each(|(to, p)| ahead[usize::from(column_of(to as Place))] += p);
+        };
         let mut forecast = Forecast {
             rooms,
-            persons: vec![0.0; (slots - self.unknown()) * (rooms + 1)],
+            persons: vec![0.0; (slots - self.unknown()) * columns],
             occupied: vec![0.0; rooms],
             empty: 0.0,
         };
-        let mut free = vec![1.0; rooms];
+        let mut ahead = vec![0.0; columns];
+        let mut free = vec![1.0; columns];
         for state in self.belief.states() {
             free.fill(1.0);
             let mut out = 1.0;
-            for slot in 0..slots {
-                let from = usize::from(place(state.key, slot));
-                let ahead = later[slot * places + from].get_or_insert_with(|| {
-                    own.clear();
-                    own.resize(places, 0.0);
-                    own[from] = 1.0;
-                    self.tables.of(number(slot, self.unknown()), set).run(
-                        horizon_s.min(HORIZON_S),
-                        &mut own,
-                        &mut spare,
-                    );
-                    let room = |room: usize| {
-                        [moving(room), settled(room), still(room)]
-                            .map(|place| own[usize::from(place)])
-                            .iter()
-                            .sum::<f64>()
-                    };
-                    (0..rooms).map(room).chain([own[usize::from(ELSEWHERE)] + own[usize::from(PHONELESS)]]).collect()
-                });
-                for (room, p) in ahead.iter().enumerate() {
-                    if let Some(person) = slot.checked_sub(self.unknown()) {
-                        forecast.persons[person * (rooms + 1) + room] += state.weight * p;
+            for (slot, (column, phases)) in state.slots().enumerate() {
+                ahead.fill(0.0);
+                let all: f32 = phases.iter().sum();
+                for (phase, share) in phases.iter().enumerate().filter(|(_, share)| **share > 0.0) {
+                    let from = usize::from(place_of(column, phase));
+                    let later = &mut later[(slot * places + from) * columns..][..columns];
+                    if later.iter().all(|p| *p == 0.0) {
+                        run(slot, from, later);
                     }
-                    if let Some(free) = free.get_mut(room) {
-                        *free *= 1.0 - p;
-                    }
+                    ahead.iter_mut().zip(later).for_each(|(own, p)| *own += f64::from(share / all) * *p);
                 }
-                out *= ahead[rooms];
+                free.iter_mut().zip(&ahead).for_each(|(free, p)| *free *= 1.0 - p);
+                out *= ahead[0];
+                if let Some(person) = slot.checked_sub(self.unknown()) {
+                    let own = &mut forecast.persons[person * columns..][..columns];
+                    own.iter_mut().zip(&ahead).for_each(|(own, p)| *own += state.weight * p);
+                }
             }
-            forecast.occupied.iter_mut().zip(&free).for_each(|(own, free)| *own += state.weight * (1.0 - free));
+            forecast.occupied.iter_mut().zip(&free[1..]).for_each(|(own, free)| *own += state.weight * (1.0 - free));
             forecast.empty += state.weight * out;
         }
         forecast
@@ -637,18 +605,15 @@ fn number(slot: usize, unknown: usize) -> usize {
     (slot + 1).saturating_sub(unknown)
 }
 
-/// The likelihood of silence in a state.
-fn silence(rooms: &[f64], slots: &[f64], count: usize) -> impl Fn(Key) -> f64 {
-    move |key| {
-        let own = key.to_le_bytes().into_iter().take(count).zip(slots.chunks(rooms.len()));
-        let mut all: f64 = own.map(|(place, own)| own[usize::from(place)]).product();
-        occupied(key, count, |place| all /= rooms[usize::from(place)]);
-        all
-    }
+fn add(to: &mut Phases, weight: f32, phases: &Phases) {
+    to.iter_mut().zip(phases).for_each(|(to, p)| *to += weight * p);
 }
 
 /// The classes of an empty room.
 const EMPTY_ROOM: [f64; CLASSES] = [1.0, 0.0, 0.0, 0.0];
+
+/// Visitors are counted up to this number.
+pub const VISITORS: usize = 2;
 
 /// The house counts as empty from this probability on.
 pub const SURELY_EMPTY: f64 = 0.9;
@@ -663,6 +628,7 @@ const HORIZON_S: f64 = 86_400.0;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Forecast {
     rooms: usize,
+    /// Per person: elsewhere, then each room.
     persons: Vec<f64>,
     occupied: Vec<f64>,
     empty: f64,
@@ -672,8 +638,9 @@ impl Forecast {
     /// Probability that a person is in a room then; of `None`, elsewhere.
     #[must_use]
     pub fn probability(&self, person: usize, room: Option<usize>) -> f64 {
-        let column = room.unwrap_or(self.rooms).min(self.rooms);
-        self.persons.get(person * (self.rooms + 1) + column).copied().unwrap_or(0.0)
+        let column = room.map_or(0, |room| room + 1);
+        let own = (column <= self.rooms).then_some(person * (self.rooms + 1) + column);
+        own.and_then(|own| self.persons.get(own)).copied().unwrap_or(0.0)
     }
 
     /// Probability that at least one person is in a room then.

@@ -47,6 +47,32 @@ pub(super) fn still(room: usize) -> Place {
     (4 + 3 * room) as Place
 }
 
+/// The places of a person without their phases: elsewhere, then each room.
+pub(super) type Column = u8;
+/// Probabilities of the phases of a column: walks, stays, is hardly seen; elsewhere, with and without the phone. The last is 0.
+pub(super) type Phases = [f32; 4];
+
+/// The column of a place.
+pub(super) fn column_of(place: Place) -> Column {
+    room_of(place).map_or(0, |room| 1 + room as Column)
+}
+
+/// The place of a phase.
+pub(super) fn place_of(column: Column, phase: usize) -> Place {
+    column.checked_sub(1).map_or(0, |room| moving(usize::from(room))) + phase as Place
+}
+
+/// The places of a column.
+fn places_of(column: Column) -> std::ops::Range<usize> {
+    let first = usize::from(place_of(column, 0));
+    first..first + if column == 0 { 2 } else { 3 }
+}
+
+/// The room of a column; `None` for elsewhere.
+pub(super) fn room_at(column: Column) -> Option<usize> {
+    column.checked_sub(1).map(usize::from)
+}
+
 /// The room of a place; `None` for elsewhere.
 pub(super) fn room_of(place: Place) -> Option<usize> {
     place.checked_sub(2).map(|own| usize::from(own / 3))
@@ -55,11 +81,6 @@ pub(super) fn room_of(place: Place) -> Option<usize> {
 /// How well sensors see a person at this place: 0 elsewhere, 1 still, 2 settled, 3 moving.
 pub(super) fn visibility(place: Place) -> usize {
     if place <= PHONELESS { 0 } else { 3 - usize::from((place - 2) % 3).clamp(0, 2) }
-}
-
-/// Whether a person at this place walks.
-pub(super) fn is_moving(place: Place) -> bool {
-    visibility(place) == 3
 }
 
 /// Share of the stays in which a motion sensor does not see the person: in most rooms, and in a bedroom.
@@ -117,12 +138,13 @@ impl Movement {
         }
     }
 
-    /// An unknown person: comes every few days, stays in the living rooms, leaves after two hours.
+    /// An unknown person: stays in the living rooms, leaves after two hours. Each slot comes less often than visitors do: this rate also
+    /// explains false alarms.
     #[must_use]
     pub fn visitor(home: &Home) -> Self {
         let mut own = Self::usual(home, 12);
         own.outside = 0.25;
-        own.home_per_s = 1.0 / (5.0 * 24.0 * HOUR_S);
+        own.home_per_s = 1.0 / (60.0 * 24.0 * HOUR_S);
         own
     }
 
@@ -181,21 +203,52 @@ pub(super) const LONGEST: usize = 64;
 /// Doubled steps, up to an hour, for forecasts.
 const DOUBLED: usize = 14;
 /// Less probable ways do not move a belief.
-const LEAST: f64 = 1e-9;
+const LEAST: f32 = 1e-9;
 
 /// The number of the table for a step of so many units.
 fn table_of(units: usize) -> usize {
     if units <= FINE { units - 1 } else { units / FINE + FINE - 2 }
 }
 
+/// The phases times a matrix, a row per former phase.
+pub(super) fn moved(own: &Phases, by: &[Phases; 4]) -> Phases {
+    let mut to = [0.0; 4];
+    for (share, row) in own.iter().zip(by) {
+        to.iter_mut().zip(row).for_each(|(to, p)| *to += share * p);
+    }
+    to
+}
+
+/// A column within a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Stay {
+    /// The probability of each phase of those who stay, a row per former phase.
+    pub(super) shares: [Phases; 4],
+    /// Per phase: the probability to leave the column.
+    pub(super) leave: Phases,
+}
+
+/// A way to another column within a step: the probability of each phase there, a row per phase here.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Way {
+    /// The highest probability among the phases here.
+    pub(super) most: f32,
+    /// Per phase here: the probability of this way.
+    pub(super) leave: Phases,
+    pub(super) to: Column,
+    pub(super) shares: [Phases; 4],
+}
+
 /// Transition probabilities of one person.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Transitions {
     places: usize,
+    columns: Column,
     /// Over one, two, four and more units, row by row.
     doubled: Vec<Vec<f64>>,
-    /// Rows by step and place: where it leads other than to itself, most probable first; and where each row begins.
-    entries: Vec<(f32, Place)>,
+    /// By step and column: the phases of those who stay, the ways to other columns, most probable first, and where these begin.
+    stays: Vec<Stay>,
+    ways: Vec<Way>,
     starts: Vec<usize>,
     /// Per place and place: the rate, for events that are transitions.
     rates: Vec<f64>,
@@ -206,7 +259,15 @@ impl Transitions {
         let places = places(home.rooms());
         let square = || vec![0.0; places * places];
         let doubled = (0..DOUBLED).map(|_| square()).collect();
-        Self { places, doubled, entries: Vec::new(), starts: Vec::new(), rates: square() }
+        Self {
+            places,
+            columns: 1 + home.rooms() as Column,
+            doubled,
+            stays: Vec::new(),
+            ways: Vec::new(),
+            starts: Vec::new(),
+            rates: square(),
+        }
     }
 
     /// Fills the tables for these rates. The first is a Taylor series of the generator; the others are its powers.
@@ -222,44 +283,51 @@ impl Transitions {
             square(&before[level - 1], places, &mut own[0]);
         }
         let (mut own, mut next) = (self.doubled[0].clone(), Vec::new());
-        self.entries.clear();
+        self.stays.clear();
+        self.ways.clear();
         self.starts.clear();
+        let columns = self.columns;
         for table in 0..=table_of(LONGEST) {
             if table > 0 {
                 let more = &self.doubled[if table < FINE { 0 } else { FINE.ilog2() as usize }];
                 product(&own, more, places, &mut next);
                 std::mem::swap(&mut own, &mut next);
             }
-            for (from, row) in own.chunks(places).enumerate() {
-                let start = self.entries.len();
+            for from in 0..columns {
+                let start = self.ways.len();
                 self.starts.push(start);
-                let entries = row.iter().enumerate().filter(|(to, p)| *to != from && **p > LEAST);
-                self.entries.extend(entries.map(|(to, p)| (*p as f32, to as Place)));
-                self.entries[start..].sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+                let ways = (0..columns).filter(|to| *to != from).map(|to| {
+                    let shares = shares(&own, places, from, to);
+                    let leave = shares.map(|row| row.iter().sum());
+                    Way { most: leave.into_iter().fold(0.0, f32::max), leave, to, shares }
+                });
+                self.ways.extend(ways.filter(|way| way.most > LEAST));
+                self.ways[start..].sort_unstable_by(|a, b| b.most.total_cmp(&a.most).then(a.to.cmp(&b.to)));
+                let leave = |phase: usize| self.ways[start..].iter().map(|way| way.leave[phase]).sum();
+                self.stays.push(Stay { shares: shares(&own, places, from, from), leave: std::array::from_fn(leave) });
             }
         }
-        self.starts.push(self.entries.len());
+        self.starts.push(self.ways.len());
     }
 
-    pub(super) fn places(&self) -> usize {
-        self.places
+    /// Who stays in a column within a step of so many units, and where the others go, most probable first.
+    pub(super) fn row(&self, units: usize, from: Column) -> (&Stay, &[Way]) {
+        let row = table_of(units) * usize::from(self.columns) + usize::from(from);
+        (&self.stays[row], &self.ways[self.starts[row]..self.starts[row + 1]])
     }
 
-    /// Where a place leads within a step of so many units, most probable first, itself left out.
-    pub(super) fn row(&self, units: usize, from: Place) -> &[(f32, Place)] {
-        let row = table_of(units) * self.places + usize::from(from);
-        &self.entries[self.starts[row]..self.starts[row + 1]]
-    }
-
-    /// Rate from a place to another, per second. A settled person stands up first: their rate is the rate at which they leave.
-    pub(super) fn rate(&self, from: Place, to: Place) -> f64 {
-        let own = |from: Place, to: Place| self.rates[usize::from(from) * self.places + usize::from(to)];
-        if from <= PHONELESS || is_moving(from) {
-            return own(from, to);
+    /// Rates from a column to another, per second. A settled person stands up first: their rate is the rate at which they leave.
+    pub(super) fn rates(&self, from: Column, to: Column) -> [Phases; 4] {
+        let own = |from: usize, to: usize| self.rates[from * self.places + to];
+        let walking = places_of(from).start;
+        let all: f64 = (0..self.places).map(|to| own(walking, to)).sum();
+        let mut rates = [[0.0; 4]; 4];
+        for (row, from) in rates.iter_mut().zip(places_of(from)) {
+            let stands_up = if from == walking || walking == 0 { 1.0 } else { own(from, walking) / all.max(1e-9) };
+            let here = if walking == 0 { from } else { walking };
+            row.iter_mut().zip(places_of(to)).for_each(|(rate, to)| *rate = (stands_up * own(here, to)) as f32);
         }
-        let walking = from - (from - 2) % 3;
-        let all: f64 = (0..self.places).map(|to| own(walking, to as Place)).sum();
-        if all > 0.0 { own(from, walking) * own(walking, to) / all } else { 0.0 }
+        rates
     }
 
     /// The distribution a time later, from a distribution over places. `own` and `spare` have one entry per place.
@@ -276,6 +344,15 @@ impl Transitions {
             }
         }
     }
+}
+
+/// The probabilities of the phases of one column from those of another.
+fn shares(dense: &[f64], places: usize, from: Column, to: Column) -> [Phases; 4] {
+    let mut own = [[0.0; 4]; 4];
+    for (row, from) in own.iter_mut().zip(places_of(from)) {
+        row.iter_mut().zip(places_of(to)).for_each(|(own, to)| *own = dense[from * places + to] as f32);
+    }
+    own
 }
 
 /// The transition tables of all persons: first of unknown persons, then of each known person. Persons with equal movement share theirs.
@@ -414,13 +491,14 @@ mod tests {
         for row in own.doubled.iter().flat_map(|dense| dense.chunks(own.places)) {
             assert!((row.iter().sum::<f64>() - 1.0).abs() < 1e-9 && row.iter().all(|p| *p >= 0.0));
         }
-        let reached = |units: usize, from, to| {
-            own.row(units, from).iter().find(|way| way.1 == to).map_or(0.0, |way| f64::from(way.0))
+        // From and to a room, in the first and second phase.
+        let reached = |units: usize, phase: usize, from: Column, to: Column| {
+            own.row(units, from).1.iter().find(|way| way.to == to).map_or(0.0, |way| f64::from(way.shares[phase][0]))
         };
-        assert!(reached(1, moving(0), moving(2)) < 0.1 * reached(1, moving(0), moving(1)), "the hall lies between");
+        assert!(reached(1, 0, 1, 3) < 0.1 * reached(1, 0, 1, 2), "the hall lies between");
         let doubled = |level: usize| own.doubled[level][usize::from(settled(0)) * own.places + usize::from(moving(2))];
-        assert!((4..=6).all(|level| (reached(1 << level, settled(0), moving(2)) - doubled(level)).abs() < 1e-6));
-        assert_eq!(own.rate(moving(0), moving(2)), 0.0);
+        assert!((4..=6).all(|level| (reached(1 << level, 1, 1, 3) - doubled(level)).abs() < 1e-6));
+        assert_eq!(own.rates(1, 3), [[0.0; 4]; 4]);
     }
 
     #[test]

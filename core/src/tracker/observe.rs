@@ -1,8 +1,8 @@
 //! The likelihood of each observation over joint states, and the attribution to persons afterwards.
 
-use super::belief::{Key, SLOTS_MAX, State, occupied, place, with};
-use super::motion::{ELSEWHERE, FORGETS, PHONELESS, Place, moving, places, room_of, settled, still, visibility};
-use super::sensors::{CLASSES, Sensor};
+use super::belief::{SLOTS_MAX, State};
+use super::motion::{Column, FORGETS, Phases, moved, room_at};
+use super::sensors::{EMPTY, Sensor};
 use super::{Cause, ROOMS_MAX, SensorKind, Tracker, number};
 use crate::places::evenness;
 
@@ -94,7 +94,7 @@ const UNSEEN: f64 = 0.03;
 /// Each door between a person and the way out makes a departure less probable by this factor.
 const PER_DOOR: f64 = 0.4;
 /// Weights of a departure of persons who walk, sit, and lie.
-const WALKS: [f64; 3] = [1.0, 0.3, 0.05];
+const WALKS: [f64; 4] = [1.0, 0.3, 0.05, 0.0];
 /// Weight of "present" without an arrival, next to each person that can have come home.
 const NO_ARRIVAL: f64 = 0.3;
 /// Likelihood of "lies" for a person who sits or walks.
@@ -103,6 +103,10 @@ const LIES_ELSE: f64 = 0.05;
 const SURELY: f64 = 0.95;
 /// Most probability that a flip in a house without residents has for a person, when the sensor learns from it.
 const ALONE: f64 = 0.5;
+/// Probability that a visitor came in unseen, given an action of an unknown person.
+const CAME_IN: f64 = 1e-4;
+/// Probability that a second visitor comes in with the first.
+const TOGETHER: f32 = 0.3;
 /// A person at a door opens it without passing through this often, per second.
 const OPENS_ONLY: f64 = 1.0 / 7_200.0;
 
@@ -119,50 +123,41 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
             if room.is_some_and(|room| !has(room)) {
                 return None;
             }
+            let is_there = |column: Column| column > 0 && (room.is_none() || room_at(column) == room);
             if own.probability(person, None) > 0.5 || room.is_some() {
-                let places = Places::of(rooms, |own| f64::from(u8::from(room.is_none_or(|room| room == own))));
-                relocate(own, slot, LOST_PRESENT, places.list());
+                relocate(own, |_| Some(slot), LOST_PRESENT, |column| if is_there(column) { 1.0 } else { 0.0 });
             }
-            let is_there =
-                |place: Place| if room.is_some() { room_of(place) == room } else { room_of(place).is_some() };
-            own.belief.weigh(|key| if is_there(place(key, slot)) { trust } else { 1.0 - trust });
+            weigh_person(own, slot, |column| if is_there(column) { trust } else { 1.0 - trust });
         }
         Observation::Present { who: None, room: None } => arrival(own, trust),
-        Observation::Present { who: None, room } => {
-            if room.is_some_and(|room| !has(room)) {
+        Observation::Present { who: None, room: Some(room) } => {
+            if !has(room) {
                 return None;
             }
-            let slots = own.belief.slots();
-            own.belief.weigh(|key| {
-                let any = occupied(key, slots, |_| ());
-                let is_so = room.map_or(any != 0, |room| any >> room & 1 == 1);
-                if is_so { trust } else { 1.0 - trust }
-            });
+            own.belief.weigh_states(|state| if state.rooms().0 >> room & 1 == 1 { trust } else { 1.0 - trust });
         }
         Observation::Lies { who } => {
             let slot = own.slot(who)?;
-            let else_ = trust * LIES_ELSE + (1.0 - trust);
-            own.belief.weigh(|key| if visibility(place(key, slot)) == 1 { 1.0 } else { else_ });
+            let else_ = (trust * LIES_ELSE + (1.0 - trust)) as f32;
+            weigh_person_phases(own, slot, |column| if column > 0 { [else_, else_, 1.0, 0.0] } else { [else_; 4] });
         }
         Observation::Away { who: Some(person) } | Observation::Gone { who: Some(person) } => {
             let slot = own.slot(person)?;
-            relocate(own, slot, LEFT, &[(ELSEWHERE, 1.0 - FORGETS), (PHONELESS, FORGETS)]);
-            own.belief.weigh(|key| if room_of(place(key, slot)).is_none() { trust } else { 1.0 - trust });
+            relocate(own, |_| Some(slot), LEFT, |column| if column == 0 { 1.0 } else { 0.0 });
+            weigh_person(own, slot, |column| if column == 0 { trust } else { 1.0 - trust });
         }
         Observation::Away { who: None } => departure(own, trust, false),
         Observation::Gone { who: None } => departure(own, trust, true),
         Observation::Empty { room } => {
-            let slots = own.belief.slots();
-            let is_free = |key: Key| occupied(key, slots, |_| ()) >> room & 1 == 0;
-            has(room).then(|| own.belief.weigh(|key| if is_free(key) { trust } else { 1.0 - trust }))?;
+            let is_free = |state: State<'_>| state.rooms().0 >> room & 1 == 0;
+            has(room).then(|| own.belief.weigh_states(|state| if is_free(state) { trust } else { 1.0 - trust }))?;
         }
         Observation::Count { room, persons } => {
             if !has(room) {
                 return None;
             }
-            let slots = own.belief.slots();
-            own.belief.weigh(|key| {
-                let here = (0..slots).filter(|slot| room_of(place(key, *slot)) == Some(room)).count();
+            own.belief.weigh_states(|state| {
+                let here = state.slots().filter(|(column, _)| room_at(*column) == Some(room)).count();
                 trust * (1.0 - trust).powi(persons.saturating_sub(here).min(4) as i32)
             });
         }
@@ -187,46 +182,48 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
     })
 }
 
-/// Places for a person that the filter lost, with probabilities. It needs no allocation.
-struct Places {
-    places: [(Place, f64); 3 * ROOMS_MAX],
-    count: usize,
+/// Weighs the belief by the column of one person.
+fn weigh_person(own: &mut Tracker, slot: usize, likelihood: impl Fn(Column) -> f64) {
+    weigh_person_phases(own, slot, |column| [likelihood(column) as f32; 4]);
 }
 
-impl Places {
-    /// The places of all rooms by weight.
-    fn of(rooms: usize, weight: impl Fn(usize) -> f64) -> Self {
-        let total: f64 = (0..rooms).map(&weight).sum::<f64>().max(f64::MIN_POSITIVE);
-        let mut own = Self { places: [(ELSEWHERE, 0.0); 3 * ROOMS_MAX], count: 0 };
-        for room in (0..rooms).filter(|room| weight(*room) > 0.0) {
-            for place in [moving(room), settled(room), still(room)] {
-                own.places[own.count] = (place, weight(room) / (3.0 * total));
-                own.count += 1;
-            }
-        }
-        own
-    }
-
-    fn list(&self) -> &[(Place, f64)] {
-        &self.places[..self.count]
-    }
+fn weigh_person_phases(own: &mut Tracker, slot: usize, likelihood: impl Fn(Column) -> Phases) {
+    let columns = 1 + own.home.rooms();
+    own.likelihood.clear(columns, own.belief.slots());
+    let places = own.likelihood.slots[slot * columns..(slot + 1) * columns].iter_mut();
+    places.enumerate().for_each(|(column, own)| *own = likelihood(column as Column));
+    own.belief.weigh(&mut own.likelihood);
 }
 
-/// The filter may have lost a person: with this probability the person is placed again.
-fn relocate(own: &mut Tracker, slot: usize, lost: f64, places: &[(Place, f64)]) {
-    let light: f64 = own.belief.states().iter().filter(|state| state.weight < LIGHT).map(|state| state.weight).sum();
+/// In lighter states than this, persons stay where they are.
+fn lightest(own: &Tracker) -> f64 {
+    let light: f64 = own.belief.states().map(|state| state.weight).filter(|weight| *weight < LIGHT).sum();
     // Light states weigh little, but all of them may be light.
-    let least = if light > 0.5 { 0.0 } else { LIGHT };
-    own.belief.transfer(|State { key, weight, .. }, add| {
-        if weight < least {
-            add(key, 1.0);
-            return;
-        }
-        add(key, 1.0 - lost);
-        for (to, share) in places {
-            add(with(key, slot, *to), lost * share);
+    if light > 0.5 { 0.0 } else { LIGHT }
+}
+
+/// The filter may have lost a person of a state: with this probability the person is placed again, by a weight per column.
+fn relocate(own: &mut Tracker, who: impl Fn(&State<'_>) -> Option<usize>, lost: f64, weight: impl Fn(Column) -> f64) {
+    let columns = own.home.rooms() as Column + 1;
+    let total: f64 = (0..columns).map(&weight).sum::<f64>().max(f64::MIN_POSITIVE);
+    let least = lightest(own);
+    own.belief.transfer(|state, flows| {
+        let Some(slot) = who(&state).filter(|_| state.weight >= least) else { return flows.keep(1.0) };
+        flows.keep(1.0 - lost);
+        for column in (0..columns).filter(|column| weight(*column) > 0.0) {
+            let phases = if column == 0 {
+                [1.0 - FORGETS, FORGETS, 0.0, 0.0]
+            } else {
+                [1.0, 1.0, 1.0, 0.0].map(|own| own / 3.0)
+            };
+            flows.put(slot, column, phases.map(|own| (own * lost * weight(column) / total) as f32));
         }
     });
+}
+
+/// The first visitor in a column.
+fn visitor(state: &State<'_>, unknown: usize, column: Column) -> Option<usize> {
+    state.slots().take(unknown).position(|(own, _)| own == column)
 }
 
 /// An action: the likelihood of its text where the person is. Of an unknown person, where the most probable person is. `placed` is how surely the
@@ -237,78 +234,83 @@ fn action(own: &mut Tracker, who: Option<usize>, list: &[f64], placed: f64, trus
     let sum: f64 = (0..rooms).map(raw).sum();
     let share = |room: usize| if sum > 0.0 { raw(room) / sum } else { 1.0 / rooms as f64 };
     let even = 1.0 / rooms as f64;
-    let at = |place: Place| room_of(place).map_or(0.0, share);
-    let slots = own.belief.slots();
+    let at = |column: Column| room_at(column).map_or(0.0, share);
+    let likely = |column: Column| if at(column) > LEAST_SHARE { at(column) } else { 0.0 };
     match who {
         Some(person) => {
             let slot = own.slot(person)?;
-            let places = Places::of(rooms, |room| if share(room) > LEAST_SHARE { share(room) } else { 0.0 });
             if list.is_empty() {
                 // No place: the person is in.
-                relocate(own, slot, LOST_ACTION * own.probability(person, None), places.list());
-                own.belief.weigh(|key| if room_of(place(key, slot)).is_none() { 1.0 - trust } else { trust });
+                relocate(own, |_| Some(slot), LOST_ACTION * own.probability(person, None), likely);
+                weigh_person(own, slot, |column| if column == 0 { 1.0 - trust } else { trust });
             } else {
                 let lost = LOST_ACTION * if placed < 1.0 { placed.max(own.probability(person, None)) } else { 1.0 };
-                relocate(own, slot, lost, places.list());
-                own.belief.weigh(|key| trust * at(place(key, slot)) + (1.0 - trust) * even);
+                relocate(own, |_| Some(slot), lost, likely);
+                weigh_person(own, slot, |column| trust * at(column) + (1.0 - trust) * even);
             }
         }
-        None => own.belief.weigh(|key| {
-            let best = (0..slots).map(|slot| at(place(key, slot))).fold(0.0, f64::max);
-            trust * best + (1.0 - trust) * even
-        }),
+        None => {
+            let unknown = own.unknown();
+            relocate(own, |state| visitor(state, unknown, 0), CAME_IN, likely);
+            own.belief.weigh_states(|state| {
+                let best = state.slots().map(|(column, _)| at(column)).fold(0.0, f64::max);
+                trust * best + (1.0 - trust) * even
+            });
+        }
     }
     Some(())
 }
 
-/// How probable it is that a person at this place walks out of the house now.
-fn departs(own: &Tracker, slot: usize, place: Place) -> f64 {
-    let Some(room) = room_of(place) else { return 0.0 };
-    let doors = own.home.steps_out(room);
+/// How probable it is that a person in this column walks out of the house now, by phase.
+fn departs(own: &Tracker, slot: usize, column: Column) -> Phases {
+    let doors = room_at(column).map_or(usize::MAX, |room| own.home.steps_out(room));
     if doors == usize::MAX {
-        return 0.0;
+        return [0.0; 4];
     }
     let is_held = |sensor: &Sensor| {
         let binds = matches!(sensor.spec.kind, SensorKind::Phone | SensorKind::Bed) && sensor.slot == Some(slot);
         binds && sensor.evidence(own.now_s) == Some(true)
     };
     let held = if own.sensors.iter().any(is_held) { HELD_WRONG } else { 1.0 };
-    let walks = WALKS[3 - visibility(place).clamp(1, 3)];
-    held * walks * PER_DOOR.powi(doors.min(8) as i32)
+    WALKS.map(|walks| (held * walks * PER_DOOR.powi(doors.min(8) as i32)) as f32)
+}
+
+/// The expectation of a value of the phases.
+fn mean(phases: &Phases, of: &Phases) -> f64 {
+    phases.iter().zip(of).map(|(share, own)| f64::from(share * own)).sum()
 }
 
 /// An unknown person leaves: each person near the door, or a visitor that no sensor saw.
 fn departure(own: &mut Tracker, trust: f64, only_unknown: bool) {
     let slots = if only_unknown { own.unknown() } else { own.belief.slots() };
-    let places = places(own.home.rooms());
-    let mut weights = [[0.0; 256]; SLOTS_MAX];
-    for (slot, weights) in weights.iter_mut().enumerate().take(slots) {
-        (0..places).for_each(|place| weights[place] = departs(own, slot, place as Place));
+    let mut departs_at = [[[0.0; 4]; ROOMS_MAX + 1]; SLOTS_MAX];
+    for (slot, weights) in departs_at.iter_mut().enumerate().take(slots) {
+        let columns = weights.iter_mut().take(own.home.rooms() + 1).enumerate();
+        columns.for_each(|(column, weight)| *weight = departs(own, slot, column as Column));
     }
-    own.belief.transfer(|State { key, .. }, add| {
-        add(key, 1.0 - trust + trust * UNSEEN);
-        for slot in 0..slots {
-            let weight = weights[slot][usize::from(place(key, slot))];
-            if weight > 0.0 {
-                add(with(key, slot, ELSEWHERE), trust * weight);
-            }
+    own.belief.transfer(|state, flows| {
+        flows.keep(1.0 - trust + trust * UNSEEN);
+        for (slot, (column, phases)) in state.slots().enumerate().take(slots) {
+            let weight = mean(phases, &departs_at[slot][usize::from(column)]);
+            flows.put(slot, 0, [(trust * weight) as f32, 0.0, 0.0, 0.0]);
         }
     });
 }
 
 /// An unknown person is present: each person outside or a visitor can have come home, or the report repeats known facts.
 fn arrival(own: &mut Tracker, trust: f64) {
-    let slots = own.belief.slots();
     let unknown = own.unknown();
     let ways: f64 = (0..own.home.rooms()).map(|room| own.home.way_out(room)).sum();
     let Tracker { belief, home, .. } = own;
-    belief.transfer(|State { key, .. }, add| {
-        let is_empty = occupied(key, slots, |_| ()) == 0;
-        add(key, 1.0 - trust + if is_empty { 0.0 } else { trust * NO_ARRIVAL });
-        for slot in (0..slots).filter(|slot| room_of(place(key, *slot)).is_none()) {
+    belief.transfer(|state, flows| {
+        let is_empty = state.rooms().0 == 0;
+        flows.keep(1.0 - trust + if is_empty { 0.0 } else { trust * NO_ARRIVAL });
+        let persons = (unknown..SLOTS_MAX).zip(state.slots().skip(unknown)).filter(|(_, (column, _))| *column == 0);
+        for slot in visitor(&state, unknown, 0).into_iter().chain(persons.map(|(slot, _)| slot)) {
             let weight = trust * if slot < unknown { UNSEEN } else { 1.0 };
             for room in (0..home.rooms()).filter(|room| home.way_out(*room) > 0.0) {
-                add(with(key, slot, moving(room)), weight * home.way_out(room) / ways);
+                let share = (weight * home.way_out(room) / ways) as f32;
+                flows.put(slot, 1 + room as Column, [share, 0.0, 0.0, 0.0]);
             }
         }
     });
@@ -337,14 +339,17 @@ fn sensor_reports(own: &mut Tracker, number: usize, on: Option<bool>) -> Option<
     match (sensor.spec.kind, before) {
         (SensorKind::Door, Some(false)) if on => door_opens(own, &sensor),
         (SensorKind::Door, _) => {}
-        (_, None) => own.belief.weigh(|key| {
-            let share = sensor.is_on(sensor.class(key, slots));
-            if on { share } else { 1.0 - share }
-        }),
-        (_, Some(was)) => {
+        (_, was) => {
             let robot = sensor.spec.room.is_some_and(|room| now_s < own.robot_until_s[room]);
-            let flips = sensor.flips(was && !again, robot);
-            own.belief.weigh(|key| flips[sensor.class(key, slots)]);
+            let classes = match was {
+                Some(was) => sensor.flips(was && !again, robot),
+                None => {
+                    std::array::from_fn(|class| sensor.is_on(class)).map(|share| if on { share } else { 1.0 - share })
+                }
+            };
+            own.likelihood.clear(1 + own.home.rooms(), slots);
+            sensor.weigh(classes, &mut own.likelihood);
+            own.belief.weigh(&mut own.likelihood);
         }
     }
     own.summarise();
@@ -375,31 +380,33 @@ fn learn_flip(own: &mut Tracker, number: usize, was: bool) {
 /// A door opens: a person passes through, at that person's rate; or it opens without a passage.
 fn door_opens(own: &mut Tracker, door: &Sensor) {
     let Some(room) = door.spec.room else { return };
-    let (slots, beyond) = (own.belief.slots(), door.spec.beyond);
-    let is_side = |place: Place| room_of(place) == Some(room) || beyond.is_some() && room_of(place) == beyond;
-    // The places behind the door, from either side of it.
-    let behind = |from: Place| match (room_of(from), beyond) {
-        (Some(here), Some(beyond)) if here == room => [Some(moving(beyond)), None],
-        (Some(here), None) if here == room => [Some(ELSEWHERE), Some(PHONELESS)],
-        (here, beyond) if here == beyond => [Some(moving(room)), None],
-        _ => [None, None],
-    };
-    let false_alarm = door.flips(false, false)[0];
+    // The columns of both sides.
+    let sides = [1 + room as Column, door.spec.beyond.map_or(0, |room| 1 + room as Column)];
+    let false_alarm = door.flips(false, false)[EMPTY];
     own.fill();
     let (tables, unknown) = (&own.tables, own.unknown());
-    own.belief.transfer(|State { key, .. }, add| {
-        let beside = (0..slots).any(|slot| is_side(place(key, slot)));
-        add(key, false_alarm + if beside { OPENS_ONLY } else { 0.0 });
-        for slot in 0..slots {
-            let from = place(key, slot);
-            for to in behind(from).into_iter().flatten() {
-                let rate = tables.of(number(slot, unknown), 1).rate(from, to);
-                if rate > 0.0 {
-                    add(with(key, slot, to), rate);
-                }
-            }
+    own.belief.transfer(|state, flows| {
+        // Nobody stands at the outer side of a front door.
+        let beside = state.slots().any(|(column, _)| column > 0 && sides.contains(&column));
+        flows.keep(false_alarm + if beside { OPENS_ONLY } else { 0.0 });
+        for (slot, (from, phases)) in state.slots().enumerate() {
+            let Some(side) = sides.iter().position(|side| *side == from) else { continue };
+            let to = sides[1 - side];
+            flows.put(slot, to, moved(phases, &tables.of(number(slot, unknown), 1).rates(from, to)));
         }
     });
+    if sides[1] == 0 && unknown > 1 {
+        // Another visitor may come in behind one who walks at the door.
+        own.belief.transfer(|state, flows| {
+            let first = visitor(&state, unknown, sides[0]).and_then(|slot| state.slots().nth(slot));
+            let (Some((_, phases)), Some(slot)) = (first, visitor(&state, unknown, 0)) else {
+                return flows.keep(1.0);
+            };
+            let share = TOGETHER * phases[0];
+            flows.keep(f64::from(1.0 - share));
+            flows.put(slot, sides[0], [share, 0.0, 0.0, 0.0]);
+        });
+    }
 }
 
 /// Who caused the observation: per slot, the posterior probability. What remains belongs to the sensor's or the narrator's errors.
@@ -408,20 +415,28 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
     let rooms = own.home.rooms();
     let mut shares = [0.0; SLOTS_MAX];
     let named = |who: Option<usize>| who.and_then(|person| own.slot(person));
-    let mut spread = |weight: &dyn Fn(usize, Place) -> f64| {
-        let mut weights = [[0.0; 256]; SLOTS_MAX];
+    let mut spread = |weight: &dyn Fn(usize, Column) -> Phases| {
+        let mut weights = [[[0.0; 4]; ROOMS_MAX + 1]; SLOTS_MAX];
         for (slot, weights) in weights.iter_mut().enumerate().take(slots) {
-            (0..places(rooms)).for_each(|place| weights[place] = weight(slot, place as Place));
+            (0..=rooms).for_each(|column| weights[column] = weight(slot, column as Column));
         }
-        for State { key, weight, .. } in own.belief.states() {
-            let all: f64 = (0..slots).map(|slot| weights[slot][usize::from(place(*key, slot))]).sum();
-            if all > 0.0 {
-                for (slot, share) in shares.iter_mut().enumerate().take(slots) {
-                    *share += weight * weights[slot][usize::from(place(*key, slot))] / all;
+        for state in own.belief.states() {
+            let mut caused = [0.0; SLOTS_MAX];
+            let mut all = 0.0;
+            for ((own, weights), (column, phases)) in caused.iter_mut().zip(&weights).zip(state.slots()) {
+                let weights = &weights[usize::from(column)];
+                if *weights != [0.0; 4] {
+                    *own = mean(phases, weights);
+                    all += *own;
                 }
+            }
+            if all > 0.0 {
+                let factor = state.weight / all;
+                shares.iter_mut().zip(caused).take(slots).for_each(|(share, own)| *share += factor * own);
             }
         }
     };
+    let is_in = |column: Column, room: usize| [f32::from(u8::from(room_at(column) == Some(room))); 4];
     match *observation {
         Observation::Sensor { sensor, .. } => {
             let Some(sensor) = own.sensors.get(sensor) else { return shares };
@@ -431,25 +446,24 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
                 }
             } else if sensor.spec.kind == SensorKind::Door {
                 let (room, beyond) = (sensor.spec.room, sensor.spec.beyond);
-                let moved = |slot: usize, place: Place| {
-                    let column = slot * (rooms + 1) + room_of(place).unwrap_or(rooms);
-                    let is_side = room_of(place) == room || room_of(place) == beyond;
-                    if is_side { (own.marginals[column] - own.earlier[column]).max(0.0) } else { 0.0 }
-                };
-                spread(&moved);
+                spread(&|slot, column| {
+                    let at = slot * (rooms + 1) + room_at(column).unwrap_or(rooms);
+                    let is_side = room_at(column) == room || room_at(column) == beyond;
+                    [if is_side { (own.marginals[at] - own.earlier[at]).max(0.0) as f32 } else { 0.0 }; 4]
+                });
             } else {
-                let flips: [f64; CLASSES] = sensor.flips(false, false);
-                spread(&|_, place| {
-                    let class = sensor.class_of(place, sensor.spec.room);
-                    if class == 0 { 0.0 } else { flips[class] }
+                let flips = sensor.flips(false, false);
+                spread(&|_, column| {
+                    let class = |phase| sensor.class_of(column, phase);
+                    std::array::from_fn(|phase| if class(phase) == EMPTY { 0.0 } else { flips[class(phase)] as f32 })
                 });
             }
         }
         Observation::Action { who, rooms: list } | Observation::Text { who, rooms: list } => match named(who) {
             Some(slot) => shares[slot] = 1.0,
-            None => {
-                spread(&|_, place| room_of(place).map_or(0.0, |room| list.get(room).copied().unwrap_or(1.0).max(0.0)))
-            }
+            None => spread(&|_, column| {
+                [room_at(column).map_or(0.0, |room| list.get(room).copied().unwrap_or(1.0).max(0.0)) as f32; 4]
+            }),
         },
         Observation::Lies { who } => shares[own.slot(who).unwrap_or(0)] = 1.0,
         Observation::Present { who: None, room: None } => {
@@ -458,11 +472,10 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
                 *share = (own.earlier[column] - own.marginals[column]).max(0.0);
             }
         }
-        Observation::Present { who, room } => match named(who) {
-            Some(slot) => shares[slot] = 1.0,
-            None => spread(&|_, place| {
-                f64::from(u8::from(room_of(place).is_some() && (room.is_none() || room_of(place) == room)))
-            }),
+        Observation::Present { who, room } => match (named(who), room) {
+            (Some(slot), _) => shares[slot] = 1.0,
+            (None, Some(room)) => spread(&|_, column| is_in(column, room)),
+            (None, None) => {}
         },
         Observation::Away { who } | Observation::Gone { who } => match named(who) {
             Some(slot) => shares[slot] = 1.0,
@@ -473,7 +486,7 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
                 }
             }
         },
-        Observation::Count { room, .. } => spread(&|_, place| f64::from(u8::from(room_of(place) == Some(room)))),
+        Observation::Count { room, .. } => spread(&|_, column| is_in(column, room)),
         Observation::Empty { .. } | Observation::Robot { .. } => {}
     }
     shares

@@ -11,10 +11,10 @@
 //! So a bed that stays on speaks for its person as long as it is on, a motion sensor's "off" says little, and an armed sensor's silence
 //! speaks against a person who walks there. All rates are learned online with a Gamma prior: weighted flips over weighted time.
 
-use super::belief::{Key, place};
 pub use crate::narration::SensorKind;
 
-use super::motion::{PHONELESS, room_of, visibility};
+use super::belief::Likelihood;
+use super::motion::{Column, PHONELESS, Phases, place_of, room_at, visibility};
 
 /// A sensor as the configuration names it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -52,7 +52,9 @@ impl SensorSpec {
 
 /// The classes of occupancy: empty, and by the most visible person: still, settled, moving.
 pub(super) const CLASSES: usize = 4;
-const EMPTY: usize = 0;
+pub(super) const EMPTY: usize = 0;
+/// The sensors of a room together change the odds of a phase at most by this factor.
+pub(super) const MOST: f32 = 1e18;
 const MOVING: usize = 3;
 
 const DAY_S: f64 = 86_400.0;
@@ -165,18 +167,34 @@ impl Sensor {
         matches!(self.spec.kind, SensorKind::Motion | SensorKind::Presence | SensorKind::Camera)
     }
 
-    /// The class of occupancy in a state. A person's sensor sees only that person; other sensors see the most visible one.
-    pub(super) fn class(&self, key: Key, slots: usize) -> usize {
-        let of = |slot: usize| self.class_of(place(key, slot), self.spec.room);
-        self.slot.map_or_else(|| (0..slots).map(of).max().unwrap_or(EMPTY), of)
+    /// Multiplies a likelihood by one per class. A person's sensor sees only that person; other sensors see the most visible one. Only ratios to an
+    /// empty room count.
+    pub(super) fn weigh(&self, classes: [f64; CLASSES], likelihood: &mut Likelihood) {
+        let columns = likelihood.rooms.len();
+        let relative = classes.map(|own| (own / classes[EMPTY]) as f32);
+        match (self.slot, self.spec.room) {
+            (Some(slot), _) => {
+                let own = likelihood.slots.chunks_exact_mut(columns).nth(slot).into_iter().flatten();
+                own.enumerate().for_each(|(column, own)| self.weigh_column(column as Column, &relative, own));
+            }
+            (None, Some(room)) => self.weigh_column(1 + room as Column, &relative, &mut likelihood.rooms[1 + room]),
+            (None, None) => {}
+        }
     }
 
-    /// The class if only the person at this place counts.
-    pub(super) fn class_of(&self, place: u8, room: Option<usize>) -> usize {
-        match self.spec.kind {
-            SensorKind::Phone if place == PHONELESS => 1,
-            SensorKind::Phone => visibility(place),
-            _ if room.is_none() || room_of(place) == room => visibility(place),
+    fn weigh_column(&self, column: Column, classes: &[f32; CLASSES], own: &mut Phases) {
+        for (phase, own) in own.iter_mut().enumerate().take(if column == 0 { 2 } else { 3 }) {
+            *own = (*own * classes[self.class_of(column, phase)]).clamp(1.0 / MOST, MOST);
+        }
+    }
+
+    /// The class if only the person in this column and phase counts.
+    pub(super) fn class_of(&self, column: Column, phase: usize) -> usize {
+        let place = place_of(column, phase);
+        match (self.spec.kind, self.spec.room) {
+            (SensorKind::Phone, _) if place == PHONELESS => 1,
+            (SensorKind::Phone, _) | (_, None) => visibility(place),
+            (_, room) if room_at(column) == room => visibility(place),
             _ => EMPTY,
         }
     }

@@ -327,7 +327,13 @@ fn an_empty_room_has_no_person() {
     play.put(MIRA, KITCHEN).put(JON, OFFICE).on(S::PresenceOffice).after(900.0);
     let before = play.tracker.occupied(KITCHEN);
     play.see(Observation::Empty { room: KITCHEN }, 0.98);
-    assert!(before > 0.2 && play.tracker.occupied(KITCHEN) < 0.2 * before, "{before}: {}", play.all());
+    let [there, free] = [before * 0.02, (1.0 - before) * 0.98];
+    let after = play.tracker.occupied(KITCHEN);
+    assert!(
+        before > 0.2 && after < 0.25 && (after - there / (there + free)).abs() < 0.01,
+        "{before}, {after}: {}",
+        play.all()
+    );
 }
 
 #[test]
@@ -343,23 +349,23 @@ fn a_visitor_who_comes_in_is_counted_and_no_resident_is_moved() {
     let mut play = Play::new();
     play.put(MIRA, LIVING).on(S::PresenceLiving).put(JON, OFFICE).on(S::PresenceOffice).after(900.0);
     play.on(S::FrontDoor).after(2.0).on(S::MotionHall).after(10.0).off(S::FrontDoor).on(S::MotionKitchen).after(20.0);
-    play.expect(play.tracker.visited() > 0.5 && play.p(MIRA, LIVING) > 0.9 && play.p(JON, OFFICE) > 0.9);
+    play.expect(play.tracker.visitors(1) > 0.5 && play.p(MIRA, LIVING) > 0.9 && play.p(JON, OFFICE) > 0.9);
     play.after(60.0).see(Observation::Gone { who: None }, 0.95);
     play.expect(play.p(MIRA, LIVING) > 0.9 && play.p(JON, OFFICE) > 0.9);
 }
 
-/// One slot stands for both visitors, so a resident may be believed in the room of one of them, but not out of the house.
 #[test]
-fn two_visitors_in_two_rooms_turn_no_resident_out_of_the_house() {
+fn two_visitors_in_two_rooms_are_counted_and_no_resident_is_moved() {
     let mut play = Play::new();
     play.put(MIRA, LIVING).on(S::PresenceLiving).put(JON, OFFICE).on(S::PresenceOffice).after(900.0);
     play.on(S::FrontDoor).after(2.0).on(S::MotionHall).after(10.0).off(S::FrontDoor).after(2.0);
     play.on(S::MotionKitchen).after(3.0).on(S::MotionBath).after(50.0).off(S::MotionHall);
     for _ in 0..10 {
         play.after(30.0).off(S::MotionKitchen).off(S::MotionBath).after(30.0).on(S::MotionKitchen).on(S::MotionBath);
-        play.expect(play.out(MIRA) < 0.01 && play.out(JON) < 0.01 && play.tracker.visited() > 0.9);
+        play.expect(play.out(MIRA) < 0.01 && play.out(JON) < 0.01 && play.tracker.visitors(1) > 0.9);
         play.expect(play.tracker.occupied(KITCHEN) > 0.9 && play.tracker.occupied(BATH) > 0.9);
     }
+    play.expect(play.tracker.visitors(2) > 0.8 && play.p(MIRA, LIVING) > 0.9 && play.p(JON, OFFICE) > 0.9);
 }
 
 #[test]
@@ -415,7 +421,7 @@ fn a_doubtful_motion_names_both_persons() {
     let mut play = Play::new();
     play.put(MIRA, LIVING).put(JON, LIVING).on(S::PresenceLiving).after(900.0).on(S::MotionHall);
     let (jon, mira) = (play.tracker.attribution(JON), play.tracker.attribution(MIRA));
-    assert!((jon - mira).abs() < 0.1 && jon > 0.3, "{jon} {mira}");
+    assert!((jon - mira).abs() < 0.1 && jon > 0.25, "{jon} {mira}");
     let reason = play.tracker.why(JON, Some(HALL)).into_iter().flatten().find(|own| own.other.is_some()).unwrap();
     assert_eq!(reason.other.map(|(person, _)| person), Some(MIRA), "{reason:?}");
 }
@@ -432,8 +438,8 @@ fn the_forecast_is_the_filter_without_observations() {
     }
     assert!(forecast.probability(MIRA, Some(LIVING)) < play.p(MIRA, LIVING));
     let now = play.tracker.forecast(0.0);
-    assert!((now.probability(JON, Some(KITCHEN)) - play.p(JON, KITCHEN)).abs() < 1e-9);
-    assert!((now.occupied(LIVING) - play.tracker.occupied(LIVING)).abs() < 1e-9);
+    assert!((now.probability(JON, Some(KITCHEN)) - play.p(JON, KITCHEN)).abs() < 1e-6);
+    assert!((now.occupied(LIVING) - play.tracker.occupied(LIVING)).abs() < 1e-6);
 }
 
 #[test]
@@ -508,7 +514,7 @@ fn a_visitor_who_surely_is_there_makes_no_sensor_noisy() {
         (0..2).for_each(|_| _ = play.see(Observation::Action { who: None, rooms: &kitchen }, 0.99));
         play.pulse(S::MotionKitchen, 60.0);
     }
-    assert!(play.tracker.visited() > 0.9 && play.out(JON) > 0.9, "{} {}", play.tracker.visited(), play.all());
+    assert!(play.tracker.visitors(1) > 0.9 && play.out(JON) > 0.9, "{} {}", play.tracker.visitors(1), play.all());
     assert_eq!(play.tracker.noisy().count(), 0, "{}", play.all());
 }
 

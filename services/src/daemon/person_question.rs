@@ -112,6 +112,9 @@ pub struct Whereabouts {
     pub house_empty: f64,
     /// The probability that an unknown person is in the house.
     pub visited: f64,
+    /// The same for two or more of them.
+    #[serde(default)]
+    pub visited_by_two: f64,
     /// The joint filter runs. It starts with the first sensor, or with the first unnamed event that two persons can have caused.
     pub is_joint: bool,
     /// Sensors that turn on without a person much more often than their kind.

@@ -11,7 +11,7 @@ use roomcast_core::grounding::Grounding;
 use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_core::tracker::{self, Home, Movement, Observation, Options, SensorSpec, Tracker};
+use roomcast_core::tracker::{self, Home, Movement, Observation, Options, SensorSpec, Tracker, VISITORS};
 
 use super::super::persons::LATE_NS;
 use super::attribution::Reason;
@@ -410,8 +410,8 @@ impl Tracking {
                     self.tracker.observe(at_s, &Observation::Present { who: Some(who), room: Some(room) }, trust);
                 }
             }
-            // At most all of them, and a visitor.
-            let persons = persons.min(1 + self.persons.len());
+            // At most all of them, and visitors.
+            let persons = persons.min(VISITORS + self.persons.len());
             self.tracker.observe(at_s, &Observation::Count { room, persons }, trust);
         }
         true

@@ -49,7 +49,8 @@ impl<M: LanguageModel> Engine<M> {
             places,
             house_empty: filter
                 .map_or_else(|| f64::from(self.publication.forecast.elsewhere[0]), |own| own.house_empty()),
-            visited: filter.map_or(0.0, |own| own.visited()),
+            visited: filter.map_or(0.0, |own| own.visitors(1)),
+            visited_by_two: filter.map_or(0.0, |own| own.visitors(2)),
             is_joint: tracking.is_some(),
             noisy: tracking.map(|own| own.noisy().map(noisy).collect()).unwrap_or_default(),
         }
