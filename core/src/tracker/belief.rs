@@ -14,7 +14,6 @@
 
 use super::TrackerError;
 use super::motion::{Column, Phases, Transitions, column_of, moved, place_of};
-use super::sensors::MOST;
 
 /// Most persons, known and unknown.
 pub const SLOTS_MAX: usize = 16;
@@ -85,6 +84,9 @@ fn sum(own: &Phases) -> f32 {
 fn tails(own: &Phases) -> Phases {
     [own[0] + own[1] + own[2], own[1] + own[2], own[2], 0.0]
 }
+
+/// The sensors of a room together change the odds of a phase at most by this factor.
+pub(super) const MOST: f32 = 1e18;
 
 const ONES: Phases = [1.0; 4];
 

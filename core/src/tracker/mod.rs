@@ -513,6 +513,41 @@ impl Tracker {
         states.fold(0.0, |sum, state| sum + state.weight)
     }
 
+    /// Per horizon, which rise: the probability of each room that no unknown person is there, then of the house. Row by row into `free`, which is
+    /// left empty if there hardly is a visitor.
+    pub fn without_visitors(&self, horizons_s: &[f32], free: &mut Vec<f64>) {
+        const FEW: f64 = 1e-3;
+        free.clear();
+        if self.visitors(1) < FEW || !self.tables.are_full() {
+            return;
+        }
+        let columns = self.home.rooms() + 1;
+        free.resize(horizons_s.len() * columns, 1.0);
+        let tables = self.tables.of(0, usize::from(self.is_open()));
+        let (mut own, mut spare) = (Vec::new(), vec![0.0; places(self.home.rooms())]);
+        for slot in 0..self.unknown() {
+            own.clear();
+            own.resize(spare.len(), 0.0);
+            for state in self.belief.states() {
+                let Some((column, phases)) = state.slots().nth(slot) else { continue };
+                for (phase, share) in phases.iter().enumerate().filter(|(_, share)| **share > 0.0) {
+                    own[usize::from(place_of(column, phase))] += state.weight * f64::from(*share);
+                }
+            }
+            let mut from_s = 0.0;
+            for (row, until_s) in free.chunks_exact_mut(columns).zip(horizons_s) {
+                tables.run(f64::from(until_s - from_s), &mut own, &mut spare);
+                from_s = *until_s;
+                let (out, rooms) = own.split_at(2);
+                row.iter_mut()
+                    .zip(rooms.chunks_exact(3))
+                    .for_each(|(row, phases)| *row *= 1.0 - phases.iter().sum::<f64>());
+                row[columns - 1] *= out.iter().sum::<f64>();
+            }
+        }
+        free.iter_mut().for_each(|own| *own = own.clamp(0.0, 1.0));
+    }
+
     /// Attribution of the last observation: the probability that a person caused it.
     #[must_use]
     pub fn attribution(&self, person: usize) -> f64 {

@@ -13,7 +13,7 @@
 
 pub use crate::narration::SensorKind;
 
-use super::belief::Likelihood;
+use super::belief::{Likelihood, MOST};
 use super::motion::{Column, PHONELESS, Phases, place_of, room_at, visibility};
 
 /// A sensor as the configuration names it.
@@ -53,8 +53,6 @@ impl SensorSpec {
 /// The classes of occupancy: empty, and by the most visible person: still, settled, moving.
 pub(super) const CLASSES: usize = 4;
 pub(super) const EMPTY: usize = 0;
-/// The sensors of a room together change the odds of a phase at most by this factor.
-pub(super) const MOST: f32 = 1e18;
 const MOVING: usize = 3;
 
 const DAY_S: f64 = 86_400.0;

@@ -35,6 +35,7 @@ pub(super) struct Publication {
     person_forecasts: Box<PersonForecastsV1>,
     /// Working memory of the forecast.
     house: Independent,
+    visitors: Vec<f64>,
     /// Working memory: the sources in the order of the message, each with the number of newer ones of the same quota.
     newest_sources: Vec<(usize, Included)>,
     /// Working memory: the time of each person's newest event, and the person.
@@ -67,6 +68,7 @@ impl Publication {
             person_scores,
             person_forecasts: Box::default(),
             house: Independent::default(),
+            visitors: Vec::new(),
             newest_sources: Vec::new(),
             newest_persons: Vec::new(),
             named_turn: 0,
@@ -156,7 +158,16 @@ impl Publication {
         }
         self.house.update(rooms.len(), followed, home, now_ns);
         let Independent { free, elsewhere } = &self.house;
-        let free = |place: usize, room: usize| free[place * rooms.len() + room];
+        // Visitors have no forecast of their own: they move as the filter lets them.
+        self.visitors.clear();
+        if let Some(own) = tracker {
+            own.without_visitors(&HORIZONS_S, &mut self.visitors);
+        }
+        let visitors =
+            |place: usize, column: usize| self.visitors.get(place * (rooms.len() + 1) + column).unwrap_or(&1.0);
+        let free = |place: usize, room: usize| free[place * rooms.len() + room] * visitors(place, room);
+        let elsewhere: [f64; MAX_HORIZONS] =
+            std::array::from_fn(|place| elsewhere[place] * visitors(place, rooms.len()));
         for place in 0..MAX_HORIZONS {
             // The part of the persons' dependence now that remains: the joint belief differs from the product of the persons' beliefs by it.
             let stays = |own: &Forecaster| own.stays(now_s, f64::from(HORIZONS_S[place]));

@@ -389,6 +389,10 @@ impl Tracking {
                 for index in 0..self.persons.len() {
                     self.tracker.observe(at_s, &Observation::Away { who: Some(index) }, trust);
                 }
+                // Visitors left, too.
+                for room in 0..self.tracker.home().rooms() {
+                    self.tracker.observe(at_s, &Observation::Empty { room }, trust);
+                }
                 return true;
             }
             Event::Empty(_) => match said.room {
@@ -404,7 +408,7 @@ impl Tracking {
             let is_in = |person: &usize| self.tracker.probability(*person, None) < 0.5;
             let present: Vec<usize> = (0..self.persons.len()).filter(is_in).collect();
             let persons = usize::from(said.count);
-            if present.len() <= persons {
+            if present.len() <= persons && self.tracker.visitors(1) < 0.5 {
                 // All of them are there.
                 for who in present.iter().copied() {
                     self.tracker.observe(at_s, &Observation::Present { who: Some(who), room: Some(room) }, trust);

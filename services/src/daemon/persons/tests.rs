@@ -8,6 +8,7 @@ use roomcast_ipc::raw::{Message, PersonV1, RobotReportV1, forecast_flags, presen
 use roomcast_ipc::text;
 
 use super::super::answers::answer_about_person;
+use super::super::engine::HORIZONS_S;
 use super::super::journal::notes::Notes;
 use super::super::journal::{Outcome, Record};
 use super::super::person_question::{PersonAnswer, PersonQuestion, UnderstoodLine};
@@ -1013,4 +1014,20 @@ fn a_room_that_the_map_lacks_is_refused_before_a_correction() {
     assert!(
         ask("nowhere").is_some_and(|why| why.contains("no single room \"nowhere\": give") && why.contains("kitchen"))
     );
+}
+
+/// A regression: visitors vanished from the forecast within a minute, and the robot was sent to them.
+#[test]
+fn a_visitor_stays_in_the_forecast_until_nobody_is_home() {
+    let mut flat = flat("1 Jon: They sit on the sofa. | 1 Mira: They sit on the sofa. | 9 living on | 600");
+    for _ in 0..6 {
+        flat.play("10 Jon: present in the living room | 1 Mira: present in the living room | 1: present in the kitchen | 1 kitchen on | 30 kitchen off");
+    }
+    flat.play("1 kitchen on | 1 Jon: They sit on the sofa. | 1 Mira: They sit on the sofa. | 1");
+    let kitchen = flat.engine.room_ids().position(|id| id == "kitchen").unwrap();
+    let minute = HORIZONS_S.iter().position(|ahead_s| *ahead_s == 60.0).unwrap();
+    let forecast = *flat.engine.forecast(BootNs(flat.now_ns));
+    let [now, later] = [0, minute].map(|at| (forecast.probability[kitchen][at], forecast.elsewhere[at]));
+    assert!(now.0 > 0.8 && later.0 > 0.6 && now.1 < 0.1 && later.1 < 0.1, "{now:?} {later:?}");
+    flat.play("1 living off | 1 phone-jon off | 1 phone-mira off | 1: Nobody is home. | 1: Nobody is home. | ? nobody out > .9");
 }
