@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use roomcast_simulation::homer::{DAY_BYTES_MAX, Day};
 
-use crate::{Failure, count, exit_code, report_faults};
+use crate::{Failure, count, report_faults};
 
 /// Sorts names by their numbers: "day 9" before "day 10".
 fn in_order(path: &Path) -> Vec<(u64, String)> {
@@ -22,7 +22,7 @@ fn in_order(path: &Path) -> Vec<(u64, String)> {
 
 /// The days of a folder, in the order of their names. A file counts if it is a day or is named `.txt`.
 pub fn read(folder: &Path) -> Result<Vec<Day>, Failure> {
-    let fault = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", folder.display()));
+    let fault = |error: String| Failure::input(format!("{}: {error}", folder.display()));
     let entries = std::fs::read_dir(folder).map_err(|error| fault(error.to_string()))?;
     let mut files: Vec<PathBuf> = entries.filter_map(Result::ok).map(|entry| entry.path()).collect();
     files.retain(|path| path.is_file());
@@ -36,7 +36,7 @@ pub fn read(folder: &Path) -> Result<Vec<Day>, Failure> {
             continue;
         }
         let text = std::fs::read(&path)
-            .map_err(|error| Failure::new(exit_code::INPUT, format!("failed to read {}: {error}", path.display())))?;
+            .map_err(|error| Failure::input(format!("failed to read {}: {error}", path.display())))?;
         let text = String::from_utf8_lossy(&text);
         match Day::parse(&text) {
             Ok(day) => days.push(day),

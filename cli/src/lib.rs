@@ -7,8 +7,11 @@
 use std::fmt;
 use std::io::Write;
 
+use roomcast_core::grounding::GroundingError;
+use roomcast_core::narration::TextError;
 pub use roomcast_core::text::count;
 use roomcast_core::text::visible_lines;
+use roomcast_ipc::IpcError;
 use roomcast_services::daemon::{DaemonError, JournalError};
 use roomcast_services::lessons::LessonError;
 use roomcast_services::sensor_log::SensorLog;
@@ -29,15 +32,32 @@ pub struct Failure {
     /// One of [`exit_code`]'s constants.
     pub code: u8,
     /// What failed, where, and the remedy.
-    pub error: Box<dyn std::error::Error + Send + Sync>,
+    pub error: AnyError,
 }
+
+type AnyError = Box<dyn std::error::Error + Send + Sync>;
 
 impl Failure {
     /// Wraps an error with its exit code.
-    pub fn new(code: u8, error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
+    pub fn new(code: u8, error: impl Into<AnyError>) -> Self {
         Self { code, error: error.into() }
     }
 }
+
+macro_rules! constructors {
+    ($($name:ident $code:ident),*) => {
+        impl Failure {
+            $(
+                #[doc = concat!("A failure with [`exit_code::", stringify!($code), "`].")]
+                pub fn $name(error: impl Into<AnyError>) -> Self {
+                    Self::new(exit_code::$code, error)
+                }
+            )*
+        }
+    };
+}
+
+constructors!(usage USAGE, input INPUT, config CONFIG, model MODEL, ipc IPC, check CHECK, failed FAILURE, interrupted INTERRUPTED);
 
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -73,6 +93,18 @@ impl From<DaemonError> for Failure {
     }
 }
 
+macro_rules! convert {
+    ($($error:ty => $constructor:ident),*) => {
+        $(impl From<$error> for Failure {
+            fn from(error: $error) -> Self {
+                Self::$constructor(error)
+            }
+        })*
+    };
+}
+
+convert!(GroundingError => input, TextError => input, IpcError => ipc);
+
 impl From<LessonError> for Failure {
     fn from(error: LessonError) -> Self {
         match error {
@@ -80,6 +112,13 @@ impl From<LessonError> for Failure {
             LessonError::Engine(_) => Self::new(exit_code::INPUT, error),
             _ => Self::new(exit_code::FAILURE, error),
         }
+    }
+}
+
+#[cfg(feature = "simulation")]
+impl From<ScoresError> for Failure {
+    fn from(error: ScoresError) -> Self {
+        StudyError::from(error).into()
     }
 }
 
@@ -130,7 +169,7 @@ pub fn print_styled(text: &str) -> CommandResult {
     let mut out = std::io::stdout().lock();
     out.write_all(text.as_bytes()).and_then(|()| out.flush()).map_err(|error| {
         let text = format!("failed to write to standard output: {error}; check where it leads");
-        Failure::new(exit_code::FAILURE, text)
+        Failure::failed(text)
     })
 }
 
@@ -144,13 +183,13 @@ pub fn tell(line: impl fmt::Display) {
 /// # Errors
 /// When it cannot be written, for instance into a closed pipe.
 pub fn print_json(value: &impl serde::Serialize) -> CommandResult {
-    let text = serde_json::to_string_pretty(value).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
+    let text = serde_json::to_string_pretty(value).map_err(Failure::failed)?;
     print(&format!("{text}\n"))
 }
 
 /// Prints a value as one line of JSON.
 pub fn print_json_line(value: &impl serde::Serialize) -> CommandResult {
-    let text = serde_json::to_string(value).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    let text = serde_json::to_string(value).map_err(Failure::failed)?;
     print(&format!("{text}\n"))
 }
 

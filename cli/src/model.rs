@@ -47,10 +47,9 @@ fn try_elsewhere(file: &Path, options: &LlamaOptions) -> CommandResult {
 
 /// Runs this program on a model file in another process. If llama.cpp ends that process, the caller gets an error.
 pub fn elsewhere(arguments: impl IntoIterator<Item = OsString>, file: &Path) -> CommandResult {
-    let failed = |why: String| Failure::new(exit_code::MODEL, why);
     let own = std::env::current_exe();
     let tried = own.and_then(|own| Command::new(own).args(arguments).stdin(Stdio::null()).output());
-    let tried = tried.map_err(|error| failed(format!("cannot try the model {}: {error}", file.display())))?;
+    let tried = tried.map_err(|error| Failure::model(format!("cannot try the model {}: {error}", file.display())))?;
     print(&String::from_utf8_lossy(&tried.stdout))?;
     let said = String::from_utf8_lossy(&tried.stderr);
     match tried.status.code().and_then(|code| u8::try_from(code).ok()) {
@@ -63,7 +62,7 @@ pub fn elsewhere(arguments: impl IntoIterator<Item = OsString>, file: &Path) -> 
         }
         _ => {
             let said = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or_default();
-            Err(failed(format!(
+            Err(Failure::model(format!(
                 "llama.cpp gave up on the model {} ({}; {said}): the file is damaged or unusable; get it again from its source",
                 file.display(),
                 tried.status
@@ -76,7 +75,7 @@ pub fn elsewhere(arguments: impl IntoIterator<Item = OsString>, file: &Path) -> 
 pub fn rehearse(file: &Path, cache: CacheType) -> CommandResult {
     // Without this, a large model would be loaded to the end for a process that was stopped.
     let _ends_later = set_parent_process_death_signal(Some(Signal::TERM));
-    let model_failure = |error: &dyn std::fmt::Display| Failure::new(exit_code::MODEL, error.to_string());
+    let model_failure = |error: &dyn std::fmt::Display| Failure::model(error.to_string());
     let options = LlamaOptions { cache, ..LlamaOptions::default() };
     let model = LlamaModel::load(file, &options).map_err(|error| model_failure(&error))?;
     let binding = BindingSequence::default();

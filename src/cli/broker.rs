@@ -29,14 +29,9 @@ impl Args {
     }
 
     /// The broker, for a client of this name.
-    ///
-    /// # Errors
-    ///
-    /// If neither the command line nor the configuration names a broker, or its address or files are invalid.
     pub fn broker(&self, config: &MqttConfig, client: String) -> Result<Broker, Failure> {
         let Some(address) = self.mqtt.clone().or_else(|| config.broker.clone()) else {
-            return Err(Failure::new(
-                exit_code::CONFIG,
+            return Err(Failure::config(
                 "no broker is named: set broker = \"mqtt://127.0.0.1\" in the section [mqtt], or give --mqtt",
             ));
         };
@@ -51,12 +46,8 @@ impl Args {
         };
         match broker.options() {
             // The configured address is at fault. A CA file of the command line may not fit a configured address.
-            Err(error @ (MqttError::Address { .. } | MqttError::Login)) if own => {
-                Err(Failure::new(exit_code::CONFIG, error))
-            }
-            Err(error @ MqttError::Scheme { .. }) if own && self.mqtt_ca.is_none() => {
-                Err(Failure::new(exit_code::CONFIG, error))
-            }
+            Err(error @ (MqttError::Address { .. } | MqttError::Login)) if own => Err(Failure::config(error)),
+            Err(error @ MqttError::Scheme { .. }) if own && self.mqtt_ca.is_none() => Err(Failure::config(error)),
             Err(error) => Err(failure(error)),
             Ok(_) => Ok(broker),
         }

@@ -24,15 +24,11 @@ pub struct Args {
 }
 
 /// Prints the manual, or that the checked file is in order.
-///
-/// # Errors
-/// If the file is malformed, or names a missing scene, model file, core, rules file or folder, an invalid broker address, or a room that the scene
-/// lacks.
 pub fn run(args: &Args) -> CommandResult {
     let text = match &args.check {
         None => DEFAULT_TOML.to_owned(),
         Some(path) => {
-            let config = Config::read(path).map_err(|e| Failure::new(exit_code::CONFIG, e))?;
+            let config = Config::read(path).map_err(Failure::config)?;
             check_names(&config, path)?;
             format!("ok: {}\n", path.display())
         }
@@ -44,20 +40,22 @@ pub fn run(args: &Args) -> CommandResult {
 fn check_names(config: &Config, file: &Path) -> CommandResult {
     let value = |fault: ConfigError| {
         let fault = ConfigError::InFile { path: file.to_owned(), fault: Box::new(fault) };
-        Failure::new(exit_code::CONFIG, fault)
+        Failure::config(fault)
     };
     let folders = [config.root_fault(), config.state_fault()].into_iter().flatten();
     let mut failures: Vec<Failure> = config.faults().into_iter().chain(folders).map(value).collect();
     let map = setup::load_map(config.scene.path.as_deref());
-    let model = config.model.path.as_deref().map_or(Ok(()), |path| {
-        Header::read_language_model(path).map(|_| ()).map_err(|error| Failure::new(exit_code::MODEL, error))
-    });
+    let model = config
+        .model
+        .path
+        .as_deref()
+        .map_or(Ok(()), |path| Header::read_language_model(path).map(|_| ()).map_err(Failure::model));
     // The checksum of a file that is no model adds nothing.
     let pin = if model.is_ok() { setup::check_pin(config).map_err(Failure::from) } else { Ok(()) };
-    let cores = affinity::check(&config.model.cores).map_err(|error| Failure::new(exit_code::CONFIG, error));
+    let cores = affinity::check(&config.model.cores).map_err(Failure::config);
     let (wrong, limited) = doctor::names(config, map.as_ref().ok(), file);
     failures.extend([map.map(|_| ()).map_err(Failure::from), model, pin, cores].into_iter().filter_map(Result::err));
-    failures.extend(wrong.into_iter().map(|text| Failure::new(exit_code::CONFIG, text)));
+    failures.extend(wrong.into_iter().map(Failure::config));
     #[cfg(feature = "mqtt")]
     failures.extend(check_broker(&config.mqtt));
     for remark in limited.into_iter().chain(service::overridden(config)) {
@@ -87,5 +85,5 @@ fn check_broker(config: &MqttConfig) -> Option<Failure> {
         MqttError::Read { .. } => "; correct mqtt.credentials and mqtt.ca",
         _ => "",
     };
-    Some(Failure::new(exit_code::CONFIG, format!("mqtt.broker: {}{remedy}", chain(&error))))
+    Some(Failure::config(format!("mqtt.broker: {}{remedy}", chain(&error))))
 }

@@ -5,8 +5,6 @@ use std::path::PathBuf;
 use super::{CommandResult, Failure, model, service};
 use roomcast_services::{daemon, logging};
 
-use crate::exit_code;
-
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -38,10 +36,10 @@ pub fn run(args: &Args) -> CommandResult {
     if args.state.is_some() {
         config.daemon.state.clone_from(&args.state);
     }
-    config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+    config.check().map_err(Failure::config)?;
     // Code that reads the state directory later would report this fault less clearly.
     if let Some(fault) = config.state_fault() {
-        return Err(Failure::new(exit_code::CONFIG, fault));
+        return Err(Failure::config(fault));
     }
     if !args.no_model {
         let Some(tried) = stop.while_loading(|| model::try_configured(&config)) else { return Ok(()) };

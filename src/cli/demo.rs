@@ -24,7 +24,6 @@ use super::stage::Stage;
 use super::{CommandResult, Failure, choice, count, demo_week, ranges, service, table};
 use crate::bar::bar;
 use crate::columns::{columns, cut, prose, wrapped};
-use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::ids::BootNs;
 use roomcast_core::policy::PolicyName;
@@ -82,10 +81,6 @@ pub struct Args {
 }
 
 /// Plays the activity; prints the events and a summary.
-///
-/// # Errors
-///
-/// If a process cannot be started or ends too early; the error has the process's own message.
 pub fn run(args: &Args) -> CommandResult {
     if let Some(days) = args.days {
         let mut config = Config::default();
@@ -96,18 +91,17 @@ pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let map = setup::load_map(Some(&args.scene))?;
     let grounding = Grounding::new(&map, &GroundingOptions::default());
-    let grounding = grounding.map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    let grounding = grounding.map_err(Failure::input)?;
     let plot = Plot::new(args, &map, &grounding)?;
     let horizon_s = plot.timeline.len();
     let speed = horizon_s as f64 / args.seconds;
 
     let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp");
-    let directory = directory.map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot use /tmp: {error}")))?;
-    let ipc = |error: IpcError| Failure::new(exit_code::IPC, error);
-    let domain = Domain::new(directory.path().join("d"), &format!("demo-{}", std::process::id())).map_err(ipc)?;
+    let directory = directory.map_err(|error| Failure::failed(format!("cannot use /tmp: {error}")))?;
+    let domain = Domain::new(directory.path().join("d"), &format!("demo-{}", std::process::id()))?;
     let mut stage = Stage::new(domain.clone(), directory.path());
-    let node = domain.open("roomcast-demo").map_err(ipc)?;
-    let mut show = Show::new(&node, &grounding, &plot.timeline, speed).map_err(ipc)?;
+    let node = domain.open("roomcast-demo")?;
+    let mut show = Show::new(&node, &grounding, &plot.timeline, speed)?;
 
     show.begin(args, &map);
     let mut daemon = vec!["--scene".into(), args.scene.clone().into_os_string()];
@@ -124,7 +118,7 @@ pub fn run(args: &Args) -> CommandResult {
     drop((show, node));
     drop(stage);
     if stop.requested() {
-        return Err(Failure::new(exit_code::INTERRUPTED, "interrupted; everything is cleaned up"));
+        return Err(Failure::interrupted("interrupted; everything is cleaned up"));
     }
     result?;
     // The reader of standard output has left: the show ends too, without an error.
@@ -135,14 +129,14 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
     let start = Instant::now();
     while !stop.requested() && !show.unheard && show.scores_seen == 0 {
         stage.check()?;
-        show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))?;
+        show.poll(Duration::from_millis(50))?;
         if start.elapsed() > START_WITHIN {
             let within = START_WITHIN.as_secs();
-            return Err(Failure::new(exit_code::FAILURE, format!("the daemon gave no scores within {within} s")));
+            return Err(Failure::failed(format!("the daemon gave no scores within {within} s")));
         }
     }
     // The narrator must run before the person's time begins.
-    let failed = |error: io::Error| Failure::new(exit_code::FAILURE, format!("cannot speak to the narrator: {error}"));
+    let failed = |error: io::Error| Failure::failed(format!("cannot speak to the narrator: {error}"));
     let (reading, writing) = io::pipe().map_err(failed)?;
     stage.start_with(
         "narrate",
@@ -162,14 +156,14 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
     stage.start("planner", &planner)?;
     while !stop.requested() && !show.unheard && show.begin_ns.is_none() {
         stage.check()?;
-        show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))?;
+        show.poll(Duration::from_millis(50))?;
     }
     act(stage, show, writing, stop)?;
     while !stop.requested() && !show.unheard && !stage.ended("narrate")? {
-        show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))?;
+        show.poll(Duration::from_millis(50))?;
     }
     // The last narration may still be in the ports.
-    show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))
+    Ok(show.poll(Duration::from_millis(50))?)
 }
 
 /// Gives the narrator the person's actions at their times, until the end of the person's time.
@@ -187,14 +181,14 @@ fn act(stage: &mut Stage, show: &mut Show<'_>, mut input: PipeWriter, stop: &Sto
             }
             stage.check()?;
             let wait = Duration::from_secs_f64(wait_s.min(0.05));
-            show.poll(wait).map_err(|error| Failure::new(exit_code::IPC, error))?;
+            show.poll(wait)?;
         }
         if let Some(line) = line
             && let Err(error) = writeln!(input, "{line}")
         {
             // If the narrator has ended, its own message is clearer.
             stage.check()?;
-            return Err(Failure::new(exit_code::FAILURE, format!("cannot speak to the narrator: {error}")));
+            return Err(Failure::failed(format!("cannot speak to the narrator: {error}")));
         }
     }
     Ok(())
@@ -216,17 +210,16 @@ impl Plot {
         let options = Options { seed: args.seed, ..Options::default() };
         // In single precision, as the experiments score.
         let llama = LlamaOptions { cache: CacheType::F32, ..LlamaOptions::default() };
-        let model =
-            setup::load_model(args.model.as_deref(), &llama).map_err(|error| StudyError::Model(Box::new(error)))?;
+        let model = setup::load_model(args.model.as_deref(), &llama)?;
         let (method, tokenisation) = (Method::default(), Tokenisation::default());
         let labels = grounding.label_texts();
         let source = ScoreSource::new(model, &labels, method, tokenisation, CorrectionChoice::default(), None);
-        let mut source = source.map_err(StudyError::from)?;
+        let mut source = source?;
         let activity = Activity::Program(program);
         let activities = [(program_name(&args.program), &activity)];
         let home = Home::new(map, grounding, &activities, &mut source, &BindingSequence::default(), &options)?;
         let timeline = home.timelines().next().cloned();
-        let timeline = timeline.ok_or_else(|| Failure::new(exit_code::FAILURE, "the simulation has no person"))?;
+        let timeline = timeline.ok_or_else(|| Failure::failed("the simulation has no person"))?;
         check_room_time(args.room_time, home.cost().steps()).map_err(StudyError::from)?;
         let known = home.knowledge(args.room_time, options.forecast);
         let mut simulated = Vec::new();

@@ -11,7 +11,6 @@ use roomcast_ipc::{Domain, IpcError, Publisher, sequence};
 use roomcast_services::clock;
 
 use super::{CommandResult, Failure};
-use crate::exit_code;
 use roomcast_services::config::PlannerConfig;
 use roomcast_services::reporter::{Kind, Report, Reporter};
 
@@ -25,23 +24,19 @@ pub(super) struct DemoRobot {
 
 impl DemoRobot {
     /// Starts a robot that works for `stay` in each target room.
-    ///
-    /// # Errors
-    ///
-    /// If the system refuses a thread.
     pub(super) fn start(domain: &Domain, stay: Duration) -> Result<Self, Failure> {
         let (stop, stopped) = channel();
         let domain = domain.clone();
         let live = move || live(&domain, stay, &stopped);
         let thread = std::thread::Builder::new().name("robot".to_owned()).spawn(live);
-        let thread = thread.map_err(|error| Failure::new(exit_code::FAILURE, format!("no robot: {error}")))?;
+        let thread = thread.map_err(|error| Failure::failed(format!("no robot: {error}")))?;
         Ok(Self { stop, thread })
     }
 
     pub(super) fn end(self) -> CommandResult {
         drop(self.stop);
         let ended = self.thread.join().unwrap_or_else(|_| Err("it panicked".to_owned()));
-        ended.map_err(|error| Failure::new(exit_code::IPC, format!("the demo's robot: {error}")))
+        ended.map_err(|error| Failure::ipc(format!("the demo's robot: {error}")))
     }
 }
 

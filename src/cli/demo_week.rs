@@ -13,7 +13,6 @@ use roomcast_ipc::raw::PersonForecastV1;
 use super::{CommandResult, Failure, count};
 use crate::bar::bar;
 use crate::columns::{columns, prose};
-use crate::exit_code;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::HabitsOptions;
 use roomcast_core::ids::{BootNs, PersonId, UnixNs};
@@ -115,7 +114,7 @@ impl Figures {
 }
 
 fn failed(error: impl std::fmt::Display) -> Failure {
-    Failure::new(exit_code::FAILURE, error.to_string())
+    Failure::failed(error.to_string())
 }
 
 impl Life {

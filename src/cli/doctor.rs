@@ -345,10 +345,6 @@ fn speed(config: &Config, map: &SemanticMap, model: LlamaModel) -> Finding {
 }
 
 /// Runs every check and prints the findings.
-///
-/// # Errors
-///
-/// With [`exit_code::CHECK`] if a check fails, with [`exit_code::CONFIG`] if the configuration cannot be read.
 pub fn run(args: &Args) -> CommandResult {
     let (mut config, domain) = match args.service.load() {
         Ok(loaded) => loaded,

@@ -11,7 +11,6 @@ use roomcast_simulation::drawing::{self, Heat};
 use super::choice::choice;
 use super::scene_files::{input, load, read, write};
 use super::{CommandResult, Failure, print};
-use crate::exit_code;
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -94,13 +93,13 @@ pub fn run(args: &Args) -> CommandResult {
 
 #[cfg(feature = "png")]
 fn png(svg: &str, scale: f32) -> Result<Vec<u8>, Failure> {
-    roomcast_simulation::png::png(svg, scale).map_err(|error| Failure::new(exit_code::FAILURE, error))
+    roomcast_simulation::png::png(svg, scale).map_err(Failure::failed)
 }
 
 #[cfg(not(feature = "png"))]
 fn png(_svg: &str, _scale: f32) -> Result<Vec<u8>, Failure> {
     let remedy = "this build draws no PNG: give a name that ends in .svg, which every browser shows, or build with --features png";
-    Err(Failure::new(exit_code::USAGE, remedy))
+    Err(Failure::usage(remedy))
 }
 
 /// Writes a drawing in the format of its file's ending.
@@ -110,7 +109,7 @@ pub(super) fn write_drawing(path: &Path, svg: String, scale: f32) -> CommandResu
         Some("png") => png(&svg, scale)?,
         _ => {
             let shown = path.display();
-            return Err(Failure::new(exit_code::USAGE, format!("{shown} ends neither in .svg nor in .png; rename it")));
+            return Err(Failure::usage(format!("{shown} ends neither in .svg nor in .png; rename it")));
         }
     };
     write(path, &bytes)

@@ -9,7 +9,6 @@ use roomcast_ipc::question;
 
 use super::{CommandResult, Failure, draw, ranges, record, score, service};
 use crate::columns::prose;
-use crate::exit_code;
 use crate::reasons::{called, why_text};
 use roomcast_core::explanation::{Explanation, PartitionReason};
 use roomcast_core::ids::PersonId;
@@ -75,16 +74,14 @@ pub fn run(args: &Args) -> CommandResult {
     }
     if !args.live && args.service.on_command_line() {
         let text = "--config, --root and --domain name a running system: give --live, too, or leave them out";
-        return Err(Failure::new(exit_code::USAGE, text));
+        return Err(Failure::usage(text));
     }
     let mut flags = Vec::new();
     let (moment, note) = if args.live {
         let (_, domain) = args.service.load()?;
-        let ipc = |error| Failure::new(exit_code::IPC, error);
-        let port =
-            domain.open("roomcast-explain").and_then(|node| node.question_port(question::MOMENT)).map_err(ipc)?;
-        let answer = port.ask("{}", PATIENCE).map_err(ipc)?;
-        let moment = Moment::from_json(&answer).map_err(|error| Failure::new(exit_code::IPC, error))?;
+        let port = domain.open("roomcast-explain").and_then(|node| node.question_port(question::MOMENT))?;
+        let answer = port.ask("{}", PATIENCE)?;
+        let moment = Moment::from_json(&answer).map_err(Failure::ipc)?;
         let note = format!("Scores {} of the daemon {}.", moment.sequence, moment.epoch);
         (moment, Some(note))
     } else if let Some(path) = &args.recording {
@@ -97,13 +94,11 @@ pub fn run(args: &Args) -> CommandResult {
         let note = warning.map(|(_, text)| prose(&text));
         (Moment::of(&pipeline, &map, &args.score.grounding(), None), note)
     };
-    let failed = |error| Failure::new(exit_code::FAILURE, error);
-    let unknown = |error| Failure::new(exit_code::INPUT, error);
     let moment = match &args.person {
-        Some(who) => moment.find(who).and_then(|person| moment.of_person(person)).map_err(unknown)?,
+        Some(who) => moment.find(who).and_then(|person| moment.of_person(person)).map_err(Failure::input)?,
         None => moment,
     };
-    let explained = moment.explain(args.score.top()).map_err(failed)?;
+    let explained = moment.explain(args.score.top()).map_err(Failure::failed)?;
     if let Some(path) = &args.plan {
         draw_plan(&explained, path)?;
     }
@@ -112,9 +107,9 @@ pub fn run(args: &Args) -> CommandResult {
         let explained = moment.of_person(own.person).and_then(|alone| alone.explain(args.score.top()));
         explained.map(|explained| (own.person, explained.explanation))
     });
-    let persons: Vec<_> = persons.collect::<Result<_, _>>().map_err(failed)?;
+    let persons: Vec<_> = persons.collect::<Result<_, _>>().map_err(Failure::failed)?;
     if args.score.json() {
-        let failed_json = |error: serde_json::Error| Failure::new(exit_code::FAILURE, error);
+        let failed_json = |error: serde_json::Error| Failure::failed(error);
         let mut value = serde_json::to_value(&explained.explanation).map_err(failed_json)?;
         if !flags.is_empty() {
             value["flags"] = flags.into();
@@ -184,10 +179,7 @@ fn whereabouts(args: &Args, who: &str) -> CommandResult {
     let asker = service::Asker::new(&domain, "roomcast-explain", question::PERSON, PATIENCE.as_secs())?;
     let answer: PersonAnswer = asker.ask(&PersonQuestion::Where { who: who.to_owned() })?;
     let Some(found) = answer.whereabouts else {
-        return Err(Failure::new(
-            exit_code::INPUT,
-            answer.reason.unwrap_or_else(|| "the daemon gives no place".to_owned()),
-        ));
+        return Err(Failure::input(answer.reason.unwrap_or_else(|| "the daemon gives no place".to_owned())));
     };
     if args.score.json() {
         return super::print_json(&found);
@@ -228,7 +220,7 @@ fn draw_plan(explained: &Explained, path: &Path) -> CommandResult {
     let Explained { explanation, map, grounding, scores, item_log_score_nats } = explained;
     let caption = explanation.narration.last().map_or("", String::as_str);
     let heat = Heat::new(&scores.partition_probability, item_log_score_nats, caption);
-    let svg = drawing::svg(map, grounding, Some(&heat)).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    let svg = drawing::svg(map, grounding, Some(&heat)).map_err(Failure::failed)?;
     draw::write_drawing(path, svg, 2.0)
 }
 
@@ -238,11 +230,10 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
         (None, Some(at_s)) => Wanted::At(at_s),
         (None, None) => Wanted::Last,
     };
-    let input = |text: String| Failure::new(exit_code::INPUT, text);
     let shown = path.display();
-    let found = recording::moment(path, wanted).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    let found = recording::moment(path, wanted).map_err(Failure::input)?;
     let RecordedMoment { at_s, moment, is_torn } = found.ok_or_else(|| {
-        input(format!(
+        Failure::input(format!(
             "the recording {shown} has no snapshot of these scores; without --at and --sequence the last one is explained"
         ))
     })?;

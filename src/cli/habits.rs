@@ -157,7 +157,7 @@ fn write_new(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> io:
 fn read(file: &Path, most: u64) -> Result<String, Failure> {
     let fault = |reason: String| {
         let text = format!("cannot read {}: {reason}; give a file of text", file.display());
-        Failure::new(exit_code::INPUT, text)
+        Failure::input(text)
     };
     let mut text = String::new();
     let read = match file.as_os_str() == "-" {
@@ -207,7 +207,7 @@ fn learn(args: &LearnArgs) -> CommandResult {
     tell_faults(read.faults());
     if read.lessons().is_empty() {
         let text = "nothing in it can be learned from: it has no narration with a time in the past; a sensor log is given with --sensors and --rules";
-        return Err(Failure::new(exit_code::INPUT, text));
+        return Err(Failure::input(text));
     }
     let (config, _) = args.common.service.load()?;
     let asker = Asker::new(&args.common)?;
@@ -233,7 +233,7 @@ fn learn(args: &LearnArgs) -> CommandResult {
             ))?;
             return match usize::try_from(read.faults().count()).unwrap_or(usize::MAX) {
                 0 => Ok(()),
-                faults => Err(Failure::new(exit_code::INPUT, format!("{} left out", super::count(faults, unit)))),
+                faults => Err(Failure::input(format!("{} left out", super::count(faults, unit)))),
             };
         }
     }
@@ -242,7 +242,6 @@ fn learn(args: &LearnArgs) -> CommandResult {
 
 /// The lessons, and the unit of its faults.
 fn lessons_of(args: &LearnArgs) -> Result<(Lessons, &'static str), Failure> {
-    let input = |error| Failure::new(exit_code::INPUT, error);
     let person = args.person.clone().unwrap_or_default();
     let (zone, now_unix_ns) = (Zone::local(), roomcast_services::clock::unix_ns());
     #[cfg(feature = "simulation")]
@@ -259,7 +258,7 @@ fn lessons_of(args: &LearnArgs) -> Result<(Lessons, &'static str), Failure> {
         (Some(log), Some(rules), ..) => {
             let narrated =
                 SensorRules::load(rules).and_then(|rules| rules.in_zone(zone.clone()).narrate_file(log, &person));
-            let narrated = narrated.map_err(input)?;
+            let narrated = narrated.map_err(Failure::input)?;
             roomcast_cli::tell_unfit(&narrated);
             let mut lessons = Lessons::of_local_time(&zone, now_unix_ns);
             lessons.take_sensors(narrated);
@@ -277,7 +276,7 @@ fn lessons_of(args: &LearnArgs) -> Result<(Lessons, &'static str), Failure> {
             lessons.take_lines(&read(lines, sensor_log::FILE_BYTES_MAX)?, &person);
             Ok((lessons, "line"))
         }
-        _ => Err(Failure::new(exit_code::USAGE, "this build reads no recordings; give lines or --sensors")),
+        _ => Err(Failure::usage("this build reads no recordings; give lines or --sensors")),
     }
 }
 
@@ -298,7 +297,7 @@ fn first_day_s(date: Option<&str>, days: usize, now_s: f64) -> Result<f64, Failu
     };
     sensor_log::seconds(&format!("{date} 00:00:00"))
         .filter(|at_s| *at_s >= 0.0)
-        .ok_or_else(|| Failure::new(exit_code::USAGE, format!("--first-day {date:?} is no date: give YYYY-MM-DD")))
+        .ok_or_else(|| Failure::usage(format!("--first-day {date:?} is no date: give YYYY-MM-DD")))
 }
 
 /// A narrated action of a day.
@@ -391,7 +390,7 @@ fn exported(mut answer: HabitsAnswer) -> Result<(HabitsAnswer, String), Failure>
         Some(text) => Ok((answer, text)),
         None => {
             let text = "the daemon's answer does not have what was learned; use one version of Roomcast";
-            Err(Failure::new(exit_code::IPC, text))
+            Err(Failure::ipc(text))
         }
     }
 }
@@ -401,10 +400,10 @@ fn done(answer: HabitsAnswer) -> Result<HabitsAnswer, Failure> {
     let reason = answer.reason.as_deref();
     if !answer.done {
         let text = format!("the daemon changed nothing: {}", reason.unwrap_or("no reason given"));
-        return Err(Failure::new(exit_code::INPUT, text));
+        return Err(Failure::input(text));
     }
     match reason {
-        Some(reason) => Err(Failure::new(exit_code::FAILURE, reason)),
+        Some(reason) => Err(Failure::failed(reason)),
         None => Ok(answer),
     }
 }

@@ -37,7 +37,7 @@ pub(super) fn home_assistant(source: &Path, name: &str, options: HomeOptions<'_>
         let text = format!(
             "a token is for an address, and {source} is a folder; give http://HOST:8123, or leave --token-file out"
         );
-        return Err(Failure::new(crate::exit_code::USAGE, text));
+        return Err(Failure::usage(text));
     }
     from_folder(source, name, options.registries)
 }
@@ -48,7 +48,7 @@ fn over_network(source: &Path, name: &str, options: HomeOptions<'_>) -> Result<H
     let Some(token) = options.token_file else {
         let text =
             "give --token-file FILE with a long-lived access token (Home Assistant, your profile's page, Security)";
-        return Err(Failure::new(crate::exit_code::USAGE, text));
+        return Err(Failure::usage(text));
     };
     let fetched = home_assistant::fetch(&url, token, options.authority).map_err(input)?;
     let Registries { leave_out, residents, furnished, .. } = options.registries;

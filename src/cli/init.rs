@@ -28,7 +28,6 @@ use super::choice::choice;
 use super::home_source::{check_rules, is_url};
 use super::scene_files::{in_file, in_map, input, read, segment_names, write};
 use super::{CommandResult, Failure, count, print};
-use crate::exit_code;
 
 /// Valetudo's topic of the map, after its prefix and identifier.
 const MAP: &str = "/MapData/map-data";
@@ -103,12 +102,6 @@ pub struct Args {
     yes: bool,
 }
 
-/// Sets up a home.
-///
-/// # Errors
-///
-/// [`exit_code::USAGE`] if no source has rooms, [`exit_code::INPUT`] if a source is unusable, [`exit_code::FAILURE`] if a file exists already or
-/// cannot be written.
 pub fn run(args: &Args) -> CommandResult {
     let mut asker = Asker::new(args.yes);
     let folder = args.folder.as_ref().unwrap_or(&args.out);
@@ -121,7 +114,7 @@ pub fn run(args: &Args) -> CommandResult {
     std::fs::create_dir_all(&folder).map_err(|error| {
         let text =
             format!("cannot make the folder {}: {error}; check its permissions, or give another one", folder.display());
-        Failure::new(exit_code::FAILURE, text)
+        Failure::failed(text)
     })?;
     let [scene, rules, config] = &files;
     let mut report = made.report(&files, &found);
@@ -151,7 +144,7 @@ fn keep_old(path: &Path, text: &str) -> Result<Option<PathBuf>, Failure> {
     let free = names.into_iter().find(|name| !name.exists());
     let failed = |why: String| {
         let text = format!("cannot keep the old {}: {why}; move it away, or give another folder", path.display());
-        Failure::new(exit_code::FAILURE, text)
+        Failure::failed(text)
     };
     let old = free.ok_or_else(|| failed("too many old files are there".to_owned()))?;
     std::fs::rename(path, &old).map_err(|error| failed(error.to_string()))?;
@@ -163,7 +156,7 @@ fn permit(files: &[PathBuf], replace: bool, asker: &mut Asker) -> CommandResult 
     let there: Vec<String> = files.iter().filter(|path| path.exists()).map(|path| path.display().to_string()).collect();
     if let Some(path) = files.iter().find(|path| path.exists() && !path.is_file()) {
         let text = format!("{} is there and is no file; give another folder", path.display());
-        return Err(Failure::new(exit_code::FAILURE, text));
+        return Err(Failure::failed(text));
     }
     if there.is_empty() || replace {
         return Ok(());
@@ -175,7 +168,7 @@ fn permit(files: &[PathBuf], replace: bool, asker: &mut Asker) -> CommandResult 
     let text = format!(
         "{names} stay as they are: give another folder with --out, or --replace for new files (the old ones stay, as NAME.old)"
     );
-    Err(Failure::new(exit_code::FAILURE, text))
+    Err(Failure::failed(text))
 }
 
 /// The contents of the files, and notes for the report.
@@ -215,7 +208,7 @@ fn make(args: &Args, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failur
     }
     let config = configuration(&map, rules.is_some(), found);
     let checked: Config = config.parse().map_err(|error| input(format!("{}: {error}", config_file.display())))?;
-    checked.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+    checked.check().map_err(Failure::config)?;
     // The services will read exactly this configuration and map.
     Grounding::new(&map, &checked.grounding).map_err(input)?;
     Ok(Made { map, rules, config, notes })
@@ -238,7 +231,7 @@ fn robot_map(args: &Args, found: &Found) -> Result<Option<Imported>, Failure> {
             }
             None if over_broker && found.broker.is_none() => {
                 let text = "--valetudo mqtt is the map that the robot tells a broker, and there is none: give --mqtt, or --valetudo FILE";
-                return Err(Failure::new(exit_code::USAGE, text));
+                return Err(Failure::usage(text));
             }
             None if over_broker => {
                 let robot = found.robot.as_deref().unwrap_or("any robot");
@@ -338,6 +331,7 @@ mod tests {
     use super::configuration::name_of_robot;
     use super::find::{LOCAL_BROKER, QUIET, find_broker};
     use super::*;
+    use crate::exit_code;
     use roomcast_core::semantic_map::import::{Home, Registries};
     use roomcast_services::config::QuietHours;
     use roomcast_services::mqtt::Broker;

@@ -145,7 +145,7 @@ pub fn run(args: &Args) -> CommandResult {
         for load in loads {
             let measured = measure(args, (scorer, load), &sentences, &stop, &progress);
             if stop.requested() {
-                return Err(Failure::new(exit_code::INTERRUPTED, "interrupted; everything is cleaned up"));
+                return Err(Failure::interrupted("interrupted; everything is cleaned up"));
             }
             rows.extend(measured?);
         }
@@ -164,7 +164,7 @@ pub fn run_end(args: &EndArgs) -> CommandResult {
         return Ok(());
     };
     let (_, domain) = args.service.load()?;
-    let node = domain.open("roomcast-measured-end").map_err(|error| Failure::new(exit_code::IPC, error))?;
+    let node = domain.open("roomcast-measured-end")?;
     Ok(latency::echo(path, &node, &stop)?)
 }
 
@@ -184,13 +184,12 @@ fn measure(
     progress: &Progress,
 ) -> Result<Vec<Row>, Failure> {
     let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp");
-    let directory = directory.map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot use /tmp: {error}")))?;
-    let ipc = |error| Failure::new(exit_code::IPC, error);
-    let domain = Domain::new(directory.path().join("d"), &format!("latency-{}", std::process::id())).map_err(ipc)?;
+    let directory = directory.map_err(|error| Failure::failed(format!("cannot use /tmp: {error}")))?;
+    let domain = Domain::new(directory.path().join("d"), &format!("latency-{}", std::process::id()))?;
     let mut stage = Stage::new(domain.clone(), directory.path());
     let prepare = args.prepare.map(|prepare| format!("[scoring]\nprepare = {prepare}\n")).unwrap_or_default();
     stage.configure(&format!("[ipc]\nspin_us = {}\n{prepare}", args.spin))?;
-    let node = domain.open("roomcast-latency").map_err(ipc)?;
+    let node = domain.open("roomcast-latency")?;
     let result = on_stage(args, kind, sentences, (&mut stage, &node), stop, progress);
     // The node must be dropped before the domain can be removed.
     drop(node);
@@ -217,9 +216,8 @@ fn on_stage(
     }
     stage.start("daemon", &daemon)?;
     let mut probes = yardsticks(stage, node)?;
-    let ipc = |error| Failure::new(exit_code::IPC, error);
-    let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
-    wait_for(stage, stop, || scores.newest().map(|scores| scores.is_some()).map_err(ipc))?;
+    let scores = node.subscriber::<RoomScoresV1>()?;
+    wait_for(stage, stop, || Ok(scores.newest()?.is_some()))?;
     if load == "busy" {
         stage.start("measured-end", &[])?;
     }
@@ -243,9 +241,9 @@ fn on_stage(
         Some(Probe::Scores(narrator, _)) => narrator,
         _ => Narrator::new(node, "latency-decision", sentences)?,
     };
-    let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
+    let decisions = node.subscriber::<DecisionV1>()?;
     stage.start("planner", &["--room-time".into(), "0".into()])?;
-    wait_for(stage, stop, || decisions.newest().map(|decision| decision.is_some()).map_err(ipc))?;
+    wait_for(stage, stop, || Ok(decisions.newest()?.is_some()))?;
     probes.push(Probe::Decision(narrator, decisions));
     let histograms = take(&mut probes)?.histograms;
     if let (Some(probe), Some(samples)) = (probes.last(), histograms.last()) {
@@ -274,7 +272,7 @@ fn wait_for(stage: &mut Stage, stop: &Stop, mut there: impl FnMut() -> Result<bo
         stage.check()?;
         if start.elapsed() > START_WITHIN {
             let within = START_WITHIN.as_secs();
-            return Err(Failure::new(exit_code::FAILURE, format!("the processes were not ready within {within} s")));
+            return Err(Failure::failed(format!("the processes were not ready within {within} s")));
         }
         std::thread::sleep(Duration::from_millis(20));
     }
@@ -285,8 +283,7 @@ fn wait_for(stage: &mut Stage, stop: &Stop, mut there: impl FnMut() -> Result<bo
 fn sentences(file: Option<&std::path::Path>) -> Result<Vec<String>, Failure> {
     let mut sentences = Vec::new();
     if let Some(file) = file {
-        let fail =
-            |error: &dyn std::fmt::Display| Failure::new(exit_code::INPUT, format!("{}: {error}", file.display()));
+        let fail = |error: &dyn std::fmt::Display| Failure::input(format!("{}: {error}", file.display()));
         let text = std::fs::read_to_string(file).map_err(|error| fail(&error))?;
         for line in text.lines().filter(|line| !line.trim().is_empty()) {
             sentences.push(Sentence::new(line).map_err(|error| fail(&error))?.as_str().to_owned());
@@ -297,7 +294,7 @@ fn sentences(file: Option<&std::path::Path>) -> Result<Vec<String>, Failure> {
         return Ok(sentences);
     }
     for shipped in roomcast_services::embedded::PROGRAMS {
-        let program = Program::parse(shipped.text).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+        let program = Program::parse(shipped.text).map_err(Failure::input)?;
         sentences.extend(program.steps.iter().map(roomcast_core::narration::Action::sentence));
     }
     Ok(sentences)

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use clap::{Command, CommandFactory};
 
 use super::{Cli, CommandResult, Failure, help};
-use crate::exit_code;
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -24,7 +23,7 @@ pub fn run(args: &Args) -> CommandResult {
             "failed to write manual pages into {}: {error}; choose a folder that may be written",
             folder.display()
         );
-        Failure::new(exit_code::FAILURE, text)
+        Failure::failed(text)
     })
 }
 

@@ -23,8 +23,7 @@ pub fn run(args: &Args) -> CommandResult {
     let _log = logging::init();
     let (config, domain) = args.service.load()?;
     let Some(address) = args.listen.or(config.metrics.listen) else {
-        return Err(Failure::new(
-            exit_code::CONFIG,
+        return Err(Failure::config(
             "metrics are off: set listen = \"127.0.0.1:9464\" in the section [metrics], or give --listen",
         ));
     };

@@ -241,7 +241,6 @@ fn commands() -> clap::Command {
 }
 
 /// Parses the command line, runs it and returns the exit code. Prints an error once, on standard error.
-#[must_use]
 pub fn main() -> ExitCode {
     let _log;
     let command = match Cli::from_arg_matches(&commands().get_matches()) {

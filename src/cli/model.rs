@@ -184,15 +184,14 @@ fn open(file: Option<&Path>) -> Result<(PathBuf, Option<ModelFile>), Failure> {
     if let Some(file) = file {
         return Ok((file.to_owned(), None));
     }
-    let embedded = ModelFile::create().map_err(|error| Failure::new(exit_code::MODEL, error))?;
+    let embedded = ModelFile::create().map_err(Failure::model)?;
     Ok((embedded.path(), Some(embedded)))
 }
 
 fn info(file: Option<&Path>, as_json: bool) -> CommandResult {
     let (path, _embedded) = open(file)?;
-    let header = Header::read_language_model(&path).map_err(|error| Failure::new(exit_code::MODEL, error))?;
-    let sha256 =
-        roomcast_llama::file_sha256(&path).map(hex::encode).map_err(|error| Failure::new(exit_code::MODEL, error))?;
+    let header = Header::read_language_model(&path).map_err(Failure::model)?;
+    let sha256 = roomcast_llama::file_sha256(&path).map(hex::encode).map_err(Failure::model)?;
     let shown = file.unwrap_or(Path::new(embedded::MODEL_NAME));
     print(&if as_json { format!("{:#}\n", describe(shown, &header, &sha256)) } else { table(shown, &header, &sha256) })
 }
@@ -237,17 +236,14 @@ impl KnownCase {
     fn read(path: &Path) -> Result<Self, Failure> {
         let fail = |error: String| {
             let remedy = "give a file that `roomcast model check --record` wrote";
-            Failure::new(
-                exit_code::INPUT,
-                format!("failed to read the known case {}: {error}; {remedy}", path.display()),
-            )
+            Failure::input(format!("failed to read the known case {}: {error}; {remedy}", path.display()))
         };
         let text = read_text_at_most(path, KNOWN_BYTES_MAX).map_err(|error| fail(error.to_string()))?;
         serde_json::from_str(&text).map_err(|error| fail(error.to_string()))
     }
 
     fn embedded() -> Result<Self, Failure> {
-        serde_json::from_str(embedded::MODEL_CHECK).map_err(|error| Failure::new(exit_code::MODEL, error))
+        serde_json::from_str(embedded::MODEL_CHECK).map_err(Failure::model)
     }
 }
 
@@ -265,7 +261,7 @@ const METHODS_TOLERANCE_NATS_PER_TOKEN: f64 = 2e-2;
 const KNOWN_BYTES_MAX: u64 = 16 << 20;
 
 fn model_failure(error: impl std::fmt::Display) -> Failure {
-    Failure::new(exit_code::MODEL, error.to_string())
+    Failure::model(error.to_string())
 }
 
 fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_json: bool) -> CommandResult {
@@ -289,8 +285,7 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
 
     let mut scorer = Scorer::new(model);
     let labels: Vec<_> = case.labels.iter().map(|known| known.label.clone()).collect();
-    let binding: BindingSequence =
-        case.binding.parse().map_err(|error| Failure::new(exit_code::INPUT, format!("binding: {error}")))?;
+    let binding: BindingSequence = case.binding.parse().map_err(|error| Failure::input(format!("binding: {error}")))?;
     let Compared { scores, worst, needed, tokenises } = compared(&mut scorer, &case, &labels, &binding)?;
     checked.push(tokenises);
     if let Some(damaged) = file.and_then(copy_of_embedded) {
@@ -329,10 +324,10 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
         print(&lines.collect::<String>())?;
     }
     if failed > 0 {
-        return Err(Failure::new(
-            exit_code::CHECK,
-            format!("{} failed: this model gives no scores to rely on", count(failed, "check")),
-        ));
+        return Err(Failure::check(format!(
+            "{} failed: this model gives no scores to rely on",
+            count(failed, "check")
+        )));
     }
     Ok(())
 }
@@ -459,9 +454,7 @@ fn read_token(path: &Path) -> Result<String, Failure> {
         let plain = !token.is_empty() && token.bytes().all(|byte| byte.is_ascii_graphic());
         plain.then_some(token).ok_or_else(|| "it holds no token on one line".into())
     });
-    token.map_err(|error| {
-        Failure::new(exit_code::INPUT, format!("failed to read the token file {}: {error}", path.display()))
-    })
+    token.map_err(|error| Failure::input(format!("failed to read the token file {}: {error}", path.display())))
 }
 
 #[cfg(feature = "pull")]

@@ -16,8 +16,6 @@ use roomcast_services::narrator::{self, Input, Outcome, Pace, Who};
 use roomcast_services::sensor_log::SensorRules;
 use roomcast_services::stop::Stop;
 
-use crate::exit_code;
-
 /// Inputs other than a broker. Options that require `--mqtt` conflict with these: clap drops a requirement if another option excludes it.
 #[cfg(feature = "mqtt")]
 const OTHER_INPUTS: [&str; 4] = ["input", "fifo", "sensors", "speed"];
@@ -85,19 +83,18 @@ pub fn run(args: &Args) -> CommandResult {
         narrator.name.clone_from(name);
     }
     narrator.linger_s = args.linger.unwrap_or(narrator.linger_s);
-    config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+    config.check().map_err(Failure::config)?;
     let pace = args.pace.map_or(Pace::Speed(args.speed), Pace::Seconds);
     let person = args.person.clone().unwrap_or_default();
-    let input = |error| Failure::new(exit_code::INPUT, error);
     #[cfg(feature = "mqtt")]
     let is_mqtt = args.mqtt.is_some();
     #[cfg(not(feature = "mqtt"))]
     let is_mqtt = false;
     if args.rules.is_some() && args.sensors.is_none() && !is_mqtt {
-        return Err(Failure::new(exit_code::USAGE, "--rules are for --mqtt or --sensors; give one of them"));
+        return Err(Failure::usage("--rules are for --mqtt or --sensors; give one of them"));
     }
     if let Some(fifo) = &args.fifo {
-        narrator::make_fifo(fifo).map_err(input)?;
+        narrator::make_fifo(fifo).map_err(Failure::input)?;
     }
     #[cfg(feature = "mqtt")]
     if let Some(address) = &args.mqtt {
@@ -105,7 +102,7 @@ pub fn run(args: &Args) -> CommandResult {
         let broker = given.broker(&config.mqtt, format!("roomcast-{}", config.narrator.name))?;
         let Some(rules) = args.rules.as_ref().or(config.mqtt.rules.as_ref()) else {
             let text = "no rules are named: give --rules FILE, or set rules in the section [mqtt] of the configuration";
-            return Err(Failure::new(exit_code::USAGE, text));
+            return Err(Failure::usage(text));
         };
         if args.dry_run {
             let rehearse = if args.json { narrate_mqtt::rehearse_as_json } else { narrate_mqtt::rehearse };
@@ -122,7 +119,7 @@ pub fn run(args: &Args) -> CommandResult {
     }
     let source = match &args.sensors {
         Some(log) => read_sensors(log, args.rules.as_deref().unwrap_or(Path::new("rules.toml")), &person)?,
-        None => Input::open(args.fifo.as_ref().unwrap_or(&args.input), person).map_err(input)?,
+        None => Input::open(args.fifo.as_ref().unwrap_or(&args.input), person).map_err(Failure::input)?,
     };
     if args.dry_run {
         return dry_run(args, &config, source, &stop);
@@ -152,12 +149,11 @@ fn understood(outcome: &Outcome, domain: &Domain) -> Vec<UnderstoodLine> {
 
 /// Prints how the daemon would understand each event.
 fn dry_run(args: &Args, config: &Config, source: Input, stop: &Stop) -> CommandResult {
-    let failed = |error| Failure::new(exit_code::CONFIG, error);
-    let mut dry_run = DryRun::new(config, clock::unix_ns()).map_err(failed)?;
+    let mut dry_run = DryRun::new(config, clock::unix_ns()).map_err(Failure::config)?;
     let (mut refused, mut fault) = (0_usize, None);
     source.each(|item| {
         let line = match item {
-            Ok(item) => dry_run.take(&item).map_err(failed),
+            Ok(item) => dry_run.take(&item).map_err(Failure::config),
             Err(reason) => {
                 refused += 1;
                 super::tell(format_args!("roomcast: {reason}"));
@@ -175,7 +171,7 @@ fn dry_run(args: &Args, config: &Config, source: Input, stop: &Stop) -> CommandR
     match (fault, refused) {
         (Some(fault), _) => Err(fault),
         (None, 0) => Ok(()),
-        (None, _) => Err(Failure::new(exit_code::INPUT, format!("{} no narration", count(refused, "line")))),
+        (None, _) => Err(Failure::input(format!("{} no narration", count(refused, "line")))),
     }
 }
 
@@ -189,13 +185,12 @@ enum Stopped {
 }
 
 fn publish(config: &Config, domain: &Domain, source: Input, pace: Pace, stop: &Stop) -> Result<Outcome, Failure> {
-    narrator::run(&config.narrator, config.daemon.intake, domain, source, pace, stop)
-        .map_err(|error| Failure::new(exit_code::IPC, error))
+    narrator::run(&config.narrator, config.daemon.intake, domain, source, pace, stop).map_err(Failure::ipc)
 }
 
 fn report(args: &Args, outcome: &Outcome, domain: &Domain, stopped: Option<Stopped>) -> CommandResult {
     if args.json {
-        let mut printed = serde_json::to_value(outcome).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+        let mut printed = serde_json::to_value(outcome).map_err(Failure::failed)?;
         printed["understood"] = serde_json::to_value(understood(outcome, domain)).unwrap_or_default();
         print_json(&printed)?;
     }
@@ -214,38 +209,31 @@ fn report(args: &Args, outcome: &Outcome, domain: &Domain, stopped: Option<Stopp
     let unconfirmed = outcome.sent - outcome.confirmed - outcome.dropped;
     if outcome.refused > 0 {
         let refused = outcome.refused;
-        return Err(Failure::new(
-            exit_code::INPUT,
-            match refused {
-                1 => "1 line was no narration; the log names it".to_owned(),
-                _ => format!("{refused} lines were no narration; the log names the first of them"),
-            },
-        ));
+        return Err(Failure::input(match refused {
+            1 => "1 line was no narration; the log names it".to_owned(),
+            _ => format!("{refused} lines were no narration; the log names the first of them"),
+        }));
     }
     if outcome.dropped > 0 {
         let (dropped, sent) = (outcome.dropped, outcome.sent);
-        return Err(Failure::new(
-            exit_code::IPC,
-            format!("the daemon dropped {dropped} of {sent} narrations; its log says why, for each source"),
-        ));
+        return Err(Failure::ipc(format!(
+            "the daemon dropped {dropped} of {sent} narrations; its log says why, for each source"
+        )));
     }
     if unconfirmed > 0 {
         let sent = outcome.sent;
-        return Err(Failure::new(
-            exit_code::IPC,
-            format!(
-                "{unconfirmed} of {} not confirmed; is a daemon running in {}?",
-                count(sent as usize, "narration"),
-                service::shown(domain)
-            ),
-        ));
+        return Err(Failure::ipc(format!(
+            "{unconfirmed} of {} not confirmed; is a daemon running in {}?",
+            count(sent as usize, "narration"),
+            service::shown(domain)
+        )));
     }
     Ok(())
 }
 
 fn read_sensors(log: &Path, rules: &Path, person: &Who) -> Result<Input, Failure> {
-    let input = |error| Failure::new(exit_code::INPUT, error);
-    let narrated = SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, person)).map_err(input)?;
+    let narrated =
+        SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, person)).map_err(Failure::input)?;
     let (lines, unfit, silent) = (narrated.said.len(), narrated.unfit, narrated.silent);
     tracing::info!(lines, unfit, silent, log = %log.display(), "sensor log read");
     Ok(Input::Log { items: narrated.said.into_iter().map(|said| said.item).collect(), faults: narrated.faults })

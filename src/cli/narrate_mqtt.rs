@@ -18,7 +18,6 @@ use roomcast_services::stop::Stop;
 
 use super::doctor::Remarks;
 use super::{CommandResult, Failure, broker, count, print, print_json_line};
-use crate::exit_code;
 
 const TICK: Duration = Duration::from_millis(100);
 /// After a stop, the time for publishing and confirming the lines that were read.
@@ -37,14 +36,14 @@ pub(super) fn listen(
     let options = broker.options().map_err(broker::failure)?;
     let state = config.daemon.state_directory();
     let tally = state.map(|folder| Tally::new(&folder, &config.narrator.name, rules.keys()));
-    let (reader, writer) = std::io::pipe().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    let (reader, writer) = std::io::pipe().map_err(Failure::failed)?;
     // The smallest size, a page. If the system refuses, it stays larger.
     let _resized = rustix::pipe::fcntl_setpipe_size(&writer, 4096);
     let (stop, (settled, news)) = (stop.clone(), mqtt::settled());
     let listener = std::thread::Builder::new().name("mqtt".to_owned());
     let listener = listener
         .spawn(move || mqtt::listen_until_settled(options, rules, tally, writer, news, &stop))
-        .map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot start the mqtt thread: {error}")))?;
+        .map_err(|error| Failure::failed(format!("cannot start the mqtt thread: {error}")))?;
     let (name, stream) = (broker.address.clone(), Box::new(reader));
     Ok((Input::Lines { name, stream, person, settled: Some(settled) }, listener))
 }
@@ -57,7 +56,7 @@ pub(super) fn rehearse(broker: &Broker, rules: &Path, _: &Who, config: &Config, 
     // The included studio is not this home: its rooms do not matter for the rules.
     let map = config.scene.path.as_deref().map(|path| setup::load_map(Some(path))).transpose()?;
     let grounding = map.as_ref().map(|map| Grounding::new(map, &config.grounding)).transpose();
-    let grounding = grounding.map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+    let grounding = grounding.map_err(Failure::config)?;
     let home = map.as_ref().zip(grounding.as_ref());
     let home = home.map(|(map, grounding)| (map, PlaceMatcher::new(map, grounding)));
     let names = config.daemon.state_directory().map_or_else(PersonsFile::default, |state| PersonsFile::load(&state));
@@ -84,12 +83,11 @@ pub(super) fn rehearse_as_json(
 ) -> CommandResult {
     let rules = Rules::load(rules).map_err(broker::failure)?;
     let options = broker.options().map_err(broker::failure)?;
-    let failed = |error| Failure::new(exit_code::CONFIG, error);
-    let mut dry_run = DryRun::new(config, clock::unix_ns()).map_err(failed)?;
+    let mut dry_run = DryRun::new(config, clock::unix_ns()).map_err(Failure::config)?;
     let mut fault = None;
     let mut print = |line: &str| {
         let item = line_item(line, person).ok()?;
-        let shown = dry_run.take(&item).map_err(failed).transpose()?.and_then(|line| print_json_line(&line));
+        let shown = dry_run.take(&item).map_err(Failure::config).transpose()?.and_then(|line| print_json_line(&line));
         if let Err(error) = shown {
             fault = Some(error);
             stop.request();
@@ -112,7 +110,7 @@ pub(super) fn patience(stop: &Stop) -> Result<Stop, Failure> {
         own.request();
     };
     let waiting = std::thread::Builder::new().name("patience".to_owned()).spawn(wait);
-    waiting.map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot start a thread: {error}")))?;
+    waiting.map_err(|error| Failure::failed(format!("cannot start a thread: {error}")))?;
     Ok(last)
 }
 
@@ -120,7 +118,7 @@ pub(super) type Listener = JoinHandle<Result<Heard, MqttError>>;
 
 /// The end of the listener. It ends by itself only if the client cannot go on.
 pub(super) fn join(listener: Listener) -> CommandResult {
-    let heard = listener.join().map_err(|_| Failure::new(exit_code::FAILURE, "the mqtt thread ended unexpectedly"))?;
+    let heard = listener.join().map_err(|_| Failure::failed("the mqtt thread ended unexpectedly"))?;
     let heard = heard.map_err(broker::failure)?;
     let Heard { said, unfit, silent, unsayable, oversized } = heard;
     tracing::info!(said, unfit, silent, unsayable, oversized, "left the broker");

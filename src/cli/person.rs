@@ -71,7 +71,7 @@ pub fn run(args: &Args) -> CommandResult {
         Action::List(common) => (common, PersonQuestion::List),
         Action::Forget { who, common } => (common, PersonQuestion::Forget { id, who: who.clone() }),
         Action::Rename { who, name, common } => {
-            check_name(name).map_err(|reason| Failure::new(exit_code::USAGE, reason))?;
+            check_name(name).map_err(Failure::usage)?;
             (common, PersonQuestion::Rename { id, who: who.clone(), name: name.clone() })
         }
         Action::Correct { who, room, common } => return correct(who, room, common),
@@ -88,7 +88,7 @@ pub fn run(args: &Args) -> CommandResult {
         return Err(Failure::new(code, format!("the daemon changed nothing: {reason}")));
     }
     if answer.reason.is_some() {
-        return Err(Failure::new(exit_code::FAILURE, reason));
+        return Err(Failure::failed(reason));
     }
     if common.json {
         return Ok(());
@@ -109,16 +109,14 @@ pub fn run(args: &Args) -> CommandResult {
 
 /// Sends a presence and prints how the daemon understood it.
 fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
-    let usage = |error: String| Failure::new(exit_code::USAGE, error);
-    let person: Who = who.parse().map_err(|error: TextError| usage(error.to_string()))?;
+    let person: Who = who.parse().map_err(|error: TextError| Failure::usage(error.to_string()))?;
     let is_away = is_away(room);
     let text = if is_away { "away".to_owned() } else { format!("present in the {room}") };
-    let event = Event::presence(&text).map_err(|error| usage(error.to_string()))?;
+    let event = Event::presence(&text).map_err(|error| Failure::usage(error.to_string()))?;
     let (mut config, domain) = common.service.load()?;
     config.narrator.name = CORRECTIONS.to_owned();
     config.narrator.linger_s = common.patience as f64;
-    let known =
-        domain.persons(Duration::from_secs(common.patience)).map_err(|error| Failure::new(exit_code::IPC, error))?;
+    let known = domain.persons(Duration::from_secs(common.patience))?;
     let names: Vec<String> =
         known.iter().map(|one| one.name.clone().unwrap_or_else(|| one.person.to_string())).collect();
     let mut nameable = known
@@ -130,10 +128,10 @@ fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     if !nameable.any(|name| name == who || asked.may_be_one(&ReadName::new(&name))) {
         let meant = did_you_mean(who, names.iter().map(String::as_str));
         let names = if names.is_empty() { "no person yet".to_owned() } else { names.join(", ") };
-        return Err(Failure::new(exit_code::INPUT, format!("no person {who:?}: the daemon knows {names}{meant}")));
+        return Err(Failure::input(format!("no person {who:?}: the daemon knows {names}{meant}")));
     }
     let asker = service::Asker::new(&domain, CORRECTIONS, question::PERSON, common.patience)?;
-    let refused = |why: &str| Failure::new(exit_code::INPUT, format!("the daemon changed no belief: {why}"));
+    let refused = |why: &str| Failure::input(format!("the daemon changed no belief: {why}"));
     if let Event::Present(Some(room)) = event {
         // A room that the map lacks would make the person present in any room.
         let checked: PersonAnswer = asker.ask(&PersonQuestion::Room { room: room.as_str().to_owned() })?;
@@ -145,11 +143,11 @@ fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     let stop = service::stop()?;
     let (limits, input) = (config.daemon.intake, Input::Items(vec![item]));
     let sent = narrator::run(&config.narrator, limits, &domain, input, Pace::Seconds(0.0), &stop);
-    let outcome = sent.map_err(|error| Failure::new(exit_code::IPC, error))?;
+    let outcome = sent.map_err(Failure::ipc)?;
     if outcome.confirmed == 0 {
         let text =
             format!("the daemon did not confirm the correction; is a daemon running in {}?", service::shown(&domain));
-        return Err(Failure::new(exit_code::IPC, text));
+        return Err(Failure::ipc(text));
     }
     let (source, epoch) = outcome.start;
     let answer: PersonAnswer = asker.ask(&PersonQuestion::Understood { source, epoch, from: 1 })?;

@@ -8,8 +8,6 @@ use roomcast_core::policy::PolicyName;
 use roomcast_services::config::{Forced, PlannerConfig, Reports};
 use roomcast_services::{logging, planner};
 
-use crate::exit_code;
-
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -54,10 +52,6 @@ pub struct Args {
 
 impl Args {
     /// Overrides the configuration by the command line.
-    ///
-    /// # Errors
-    ///
-    /// If a round would be shorter than a stay. The message names the options or keys at fault.
     fn apply(&self, planned: &mut PlannerConfig) -> Result<(), String> {
         if let Some(robot) = &self.robot {
             planned.robot.clone_from(robot);
@@ -92,12 +86,12 @@ pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let _log = logging::init();
     let (mut config, domain) = args.service.load()?;
-    args.apply(&mut config.planner).map_err(|error| Failure::new(exit_code::USAGE, error))?;
+    args.apply(&mut config.planner).map_err(Failure::usage)?;
     if args.scene.is_some() {
         config.scene.path.clone_from(&args.scene);
     }
-    config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
-    planner::run(&config, &domain, &stop).map_err(|error| Failure::new(exit_code::IPC, error))
+    config.check().map_err(Failure::config)?;
+    planner::run(&config, &domain, &stop).map_err(Failure::ipc)
 }
 
 #[cfg(test)]

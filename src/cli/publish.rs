@@ -3,7 +3,6 @@
 use std::io::Write;
 
 use super::{CommandResult, Failure, broker, service};
-use crate::exit_code;
 use crate::publish::{self, BridgeError, Way};
 use roomcast_services::logging;
 
@@ -47,7 +46,7 @@ pub fn run(args: &Args) -> CommandResult {
     if let Some(topic) = &args.topic {
         config.bridge.topic.clone_from(topic);
     }
-    config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+    config.check().map_err(Failure::config)?;
     let done = if args.dry_run {
         let mut print = |topic: &str, payload: &str| {
             let line = serde_json::json!({ "topic": topic, "payload": payload, "retain": true });
@@ -77,7 +76,7 @@ pub fn run(args: &Args) -> CommandResult {
     }
     done.map_err(|error| match error {
         BridgeError::Mqtt(error) => broker::failure(error),
-        BridgeError::Ipc(_) | BridgeError::NoDaemon => Failure::new(exit_code::IPC, error),
-        BridgeError::Print(_) | BridgeError::NotRemoved => Failure::new(exit_code::FAILURE, error),
+        BridgeError::Ipc(_) | BridgeError::NoDaemon => Failure::ipc(error),
+        BridgeError::Print(_) | BridgeError::NotRemoved => Failure::failed(error),
     })
 }

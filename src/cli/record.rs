@@ -55,21 +55,15 @@ const LAST: Duration = Duration::from_secs(2);
 const COMPLAINT_NS: u64 = 60_000_000_000;
 
 /// Reads a recording; says so if its recorder did not finish it.
-///
-/// # Errors
-/// If the file is no recording, or damaged.
 pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
     read_until(path, &|| false)
 }
 
 /// As [`read`], until a stop is requested.
-///
-/// # Errors
-/// As [`read`], and if a stop was requested.
 pub(super) fn read_until(path: &Path, is_stopped: &dyn Fn() -> bool) -> Result<Recording, Failure> {
     let recording = recording::read_until(path, is_stopped).map_err(|error| match error {
-        RecordingError::Stopped { .. } => Failure::new(exit_code::INTERRUPTED, error),
-        error => Failure::new(exit_code::INPUT, error),
+        RecordingError::Stopped { .. } => Failure::interrupted(error),
+        error => Failure::input(error),
     })?;
     if recording.is_torn {
         tell_torn(path, &format!(", {}", count(recording.messages.len(), "message")));
@@ -141,7 +135,7 @@ struct Moments {
 
 impl Moments {
     fn start(node: &Node) -> Result<Self, Failure> {
-        let port = node.question_port(question::MOMENT).map_err(|error| Failure::new(exit_code::IPC, error))?;
+        let port = node.question_port(question::MOMENT)?;
         let (ask, asked) = bounded(1);
         let (tell, told) = bounded(1);
         let asking = move || {
@@ -155,7 +149,7 @@ impl Moments {
         };
         std::thread::Builder::new().name("moments".to_owned()).spawn(asking).map_err(|error| {
             let text = format!("cannot start the thread that asks the daemon: {error}; {}", limits::on_threads());
-            Failure::new(exit_code::FAILURE, text)
+            Failure::failed(text)
         })?;
         Ok(Self { ask, told, newest: None, asked: None, known: None, log: Limiter::new(COMPLAINT_NS) })
     }
@@ -260,14 +254,13 @@ impl Forecasts {
 pub fn run(args: &Args) -> CommandResult {
     if args.file.as_os_str() == "-" {
         let why = "a recording goes into a file, not to standard output: its index is written last and points back; give a file's name";
-        return Err(Failure::new(exit_code::USAGE, why));
+        return Err(Failure::usage(why));
     }
     let stop = service::stop()?;
     let _log = logging::init();
     let (config, domain) = args.service.load()?;
-    let ipc = |error| Failure::new(exit_code::IPC, error);
-    let node = domain.open("roomcast-record").map_err(ipc)?;
-    let ports = Ports::new(&node).map_err(ipc)?;
+    let node = domain.open("roomcast-record")?;
+    let ports = Ports::new(&node)?;
     let output = |error| {
         let code = match error {
             RecordingError::Exists { .. } => exit_code::INPUT,
@@ -284,7 +277,7 @@ pub fn run(args: &Args) -> CommandResult {
         // Messages from before the end are still recorded.
         let is_over = args.seconds.map(|seconds| started.elapsed() >= Duration::from_secs(seconds));
         let ends = stop.requested() || is_over == Some(true);
-        let news = ports.news().map_err(ipc)?;
+        let news = ports.news()?;
         let received = Received { unix_ns: clock::unix_ns(), monotonic_ns: clock::monotonic_ns() };
         is_silent &= !news.iter().any(|message| matches!(message, Recorded::RoomScores(_)));
         if is_silent && started.elapsed() >= SILENCE {
@@ -317,7 +310,7 @@ pub fn run(args: &Args) -> CommandResult {
         }
         if news.is_empty() {
             // A narrator with one line may leave within milliseconds.
-            roomcast_ipc::wait_for_any(&[&ports.narration, &ports.scores], POLL).map_err(ipc)?;
+            roomcast_ipc::wait_for_any(&[&ports.narration, &ports.scores], POLL)?;
         }
     };
     let written = recorder.finish().map_err(output)?;

@@ -9,7 +9,6 @@ use roomcast_ipc::raw::{
 use roomcast_ipc::{Domain, IpcError, Node, Publisher};
 
 use super::{CommandResult, Failure, ranges, record, service};
-use crate::exit_code;
 use roomcast_services::recording::Recorded;
 use roomcast_services::stop::Stop;
 
@@ -104,17 +103,16 @@ pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let (_, domain) = args.service.load()?;
     let messages = record::read_until(&args.file, &|| stop.requested())?.messages;
-    let ipc = |error| Failure::new(exit_code::IPC, error);
-    let node = domain.open("roomcast-replay").map_err(ipc)?;
+    let node = domain.open("roomcast-replay")?;
     if args.all {
-        refuse_running_system(&node.participants().map_err(ipc)?, &domain)?;
+        refuse_running_system(&node.participants()?, &domain)?;
     }
-    let publishers = Publishers::open(&node, args.all).map_err(ipc)?;
-    let heard = (!args.all).then(|| node.subscriber::<RoomScoresV1>()).transpose().map_err(ipc)?;
+    let publishers = Publishers::open(&node, args.all)?;
+    let heard = (!args.all).then(|| node.subscriber::<RoomScoresV1>()).transpose()?;
     let mut newest = None;
     if let Some(heard) = &heard {
-        heard.wait(TICK).map_err(ipc)?;
-        newest = heard.newest().map_err(ipc)?;
+        heard.wait(TICK)?;
+        newest = heard.newest()?;
     }
     let known = newest.as_ref().and_then(|scores| known_words(scores, &messages));
     let start_unix_ns = messages.first().map_or(0, |(time, _)| *time);
@@ -123,11 +121,11 @@ pub fn run(args: &Args) -> CommandResult {
     let mut last = None;
     for (time, message) in &messages {
         let due = Duration::from_nanos((time.saturating_sub(start_unix_ns) as f64 / args.speed) as u64);
-        sleep_until(started, due, &publishers, &stop).map_err(ipc)?;
+        sleep_until(started, due, &publishers, &stop)?;
         if stop.requested() {
             break;
         }
-        if publishers.send(message).map_err(ipc)? {
+        if publishers.send(message)? {
             sent += 1;
             std::thread::sleep(PAUSE_MIN);
         }
@@ -149,9 +147,9 @@ pub fn run(args: &Args) -> CommandResult {
     // Waiting messages are lost with their publisher, so this one lives until the daemon has them.
     let (begun, linger) = (Instant::now(), Duration::from_secs(args.linger));
     while !stop.requested() {
-        publishers.tick().map_err(ipc)?;
-        heard.wait(TICK).map_err(ipc)?;
-        newest = heard.newest().map_err(ipc)?.or(newest);
+        publishers.tick()?;
+        heard.wait(TICK)?;
+        newest = heard.newest()?.or(newest);
         let mut included = newest.iter().flat_map(RoomScoresV1::included);
         if included.any(|i| (i.source, i.epoch) == (last.0, last.1) && i.sequence >= last.2) {
             // A recorder with slow polls gets the last messages too.
@@ -169,16 +167,13 @@ pub fn run(args: &Args) -> CommandResult {
         )));
     }
     let place = service::shown(&domain);
-    Err(Failure::new(
-        exit_code::IPC,
-        match newest {
-            None => format!("no daemon was heard in {place}: start `roomcast daemon`, then replay again"),
-            Some(_) => format!(
-                "the daemon in {place} had not taken in the last narration {} s after it was sent: give it longer (--linger SECONDS)",
-                args.linger
-            ),
-        },
-    ))
+    Err(Failure::ipc(match newest {
+        None => format!("no daemon was heard in {place}: start `roomcast daemon`, then replay again"),
+        Some(_) => format!(
+            "the daemon in {place} had not taken in the last narration {} s after it was sent: give it longer (--linger SECONDS)",
+            args.linger
+        ),
+    }))
 }
 
 /// Participants that would act on replayed messages, by the beginning of their names: a robot would drive, and a daemon's scores would mix with the
@@ -201,7 +196,7 @@ fn refuse_running_system(participants: &[String], domain: &Domain) -> CommandRes
         "{who} ({name:?}) runs in {}, and would take what is replayed for what is so: end it, or replay in a domain of its own (--domain NAME)",
         service::shown(domain)
     );
-    Err(Failure::new(exit_code::IPC, text))
+    Err(Failure::ipc(text))
 }
 
 /// How many narrations the daemon has taken in already, in words, by its newest scores.

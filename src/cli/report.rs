@@ -15,7 +15,6 @@ use roomcast_services::clock;
 use strum::{EnumMessage, VariantArray};
 
 use super::{CommandResult, Failure, count, ranges, service};
-use crate::exit_code;
 use roomcast_services::config::Config;
 use roomcast_services::participant::PLANNER;
 use roomcast_services::reporter::{Kind, LINE_BYTES_MAX, Report, Reporter};
@@ -104,7 +103,7 @@ impl Args {
         match (self.what, of_one.iter().find(|(_, given)| *given)) {
             (What::Lines, Some((option, _))) => {
                 let text = format!("{option} is for one report; with `-`, give it in the line");
-                Err(Failure::new(exit_code::USAGE, text))
+                Err(Failure::usage(text))
             }
             _ => Ok(()),
         }
@@ -127,27 +126,25 @@ pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let (config, domain) = args.service.load()?;
     let robot = args.robot.as_ref().unwrap_or(&config.planner.robot);
-    let usage = |error: String| Failure::new(exit_code::USAGE, error);
     let mut reporter =
-        Reporter::new(robot, sequence::random_epoch()).map_err(|error| usage(format!("--robot: {error}")))?;
+        Reporter::new(robot, sequence::random_epoch()).map_err(|error| Failure::usage(format!("--robot: {error}")))?;
     args.refuse_options_of_one_report()?;
-    let ipc = |error: IpcError| Failure::new(exit_code::IPC, error);
     // A malformed report is refused before any wait.
     let one = match args.what {
         What::One(kind) => {
             let message = reporter.message(&args.report(kind), clock::monotonic_ns(), clock::unix_ns());
-            Some(message.map_err(|error| Failure::new(exit_code::INPUT, error))?)
+            Some(message.map_err(Failure::input)?)
         }
         What::Lines => None,
     };
-    let node = domain.open(&format!("roomcast-report {robot}")).map_err(ipc)?;
-    let publisher = node.publisher::<RobotReportV1>().map_err(ipc)?;
-    let mut rooms = Rooms::open(&node, &config).map_err(ipc)?;
+    let node = domain.open(&format!("roomcast-report {robot}"))?;
+    let publisher = node.publisher::<RobotReportV1>()?;
+    let mut rooms = Rooms::open(&node, &config)?;
     let (mut sent, mut refused) = (0, 0);
     match one {
         Some(message) => {
-            rooms.check(message.room()).map_err(|error| Failure::new(exit_code::INPUT, error))?;
-            publisher.send(&message).map_err(ipc)?;
+            rooms.check(message.room()).map_err(Failure::input)?;
+            publisher.send(&message)?;
             sent = 1;
         }
         None => send_lines(&mut reporter, &publisher, &mut rooms, &stop, (&mut sent, &mut refused))?,
@@ -158,7 +155,7 @@ pub fn run(args: &Args) -> CommandResult {
         return if follows { Ok(()) } else { Err(service::interrupted(&format!("{} sent", count(sent, "report")))) };
     }
     if sent > 0 {
-        let heard = wait(&publisher, robot, Duration::from_secs_f64(args.wait), &stop).map_err(ipc)?;
+        let heard = wait(&publisher, robot, Duration::from_secs_f64(args.wait), &stop)?;
         let place = service::shown(&domain);
         match heard {
             Hearer::Planner => {}
@@ -166,7 +163,7 @@ pub fn run(args: &Args) -> CommandResult {
                 super::tell(format_args!("roomcast: no planner of the robot `{robot}` runs in {place}; others listen"))
             }
             Hearer::OtherPlanner(other) => {
-                let (other, name) = match other_name(&node, &other).map_err(ipc)? {
+                let (other, name) = match other_name(&node, &other)? {
                     Some(name) => (format!("one of `{name}`"), format!("'{name}'")),
                     None => ("one of another robot".to_owned(), "with that one's name".to_owned()),
                 };
@@ -174,7 +171,7 @@ pub fn run(args: &Args) -> CommandResult {
                     "no planner of the robot `{robot}` runs in {place}, but {other}: give --robot {name}, or start \
                      `roomcast planner --robot '{robot}'`"
                 );
-                return Err(Failure::new(exit_code::IPC, text));
+                return Err(Failure::ipc(text));
             }
             Hearer::Nobody if stop.requested() => {
                 let text = format!("nobody has heard {} yet", count(sent, "report"));
@@ -186,13 +183,13 @@ pub fn run(args: &Args) -> CommandResult {
                     "nobody listens to {sent} of the robot `{robot}` in {place}: start `roomcast planner --robot {robot}`, or wait \
                      longer for it (--wait)"
                 );
-                return Err(Failure::new(exit_code::IPC, text));
+                return Err(Failure::ipc(text));
             }
         }
     }
     if refused > 0 {
         let text = format!("{} refused; the lines above say why", count(refused, "line"));
-        return Err(Failure::new(exit_code::INPUT, text));
+        return Err(Failure::input(text));
     }
     Ok(())
 }
@@ -205,8 +202,7 @@ fn send_lines(
     stop: &Stop,
     (sent, refused): (&mut usize, &mut usize),
 ) -> CommandResult {
-    let ipc = |error: IpcError| Failure::new(exit_code::IPC, error);
-    let lines = read_lines().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    let lines = read_lines().map_err(Failure::failed)?;
     for number in 1_u64.. {
         let line = loop {
             if stop.requested() {
@@ -215,7 +211,7 @@ fn send_lines(
             match lines.recv_timeout(TICK) {
                 Ok(line) => break line,
                 // Planners that join later get the last reports.
-                Err(RecvTimeoutError::Timeout) => publisher.tick().map(drop).map_err(ipc)?,
+                Err(RecvTimeoutError::Timeout) => publisher.tick().map(drop)?,
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
             }
         };
@@ -247,7 +243,7 @@ fn send_lines(
                     }
                 }
                 for message in messages {
-                    publisher.send(&message).map_err(ipc)?;
+                    publisher.send(&message)?;
                     *sent += 1;
                 }
             }

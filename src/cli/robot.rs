@@ -4,7 +4,6 @@ use std::io::Write;
 
 use super::choice::choice;
 use super::{CommandResult, Failure, broker, service};
-use crate::exit_code;
 use roomcast_services::config::RobotKind;
 use roomcast_services::vacuum::{self, DriveError, Way};
 use roomcast_services::{logging, setup};
@@ -42,7 +41,7 @@ pub fn run(args: &Args) -> CommandResult {
     if let Some(name) = &args.robot {
         config.planner.robot.clone_from(name);
     }
-    config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+    config.check().map_err(Failure::config)?;
     // Rooms may be named by other words than the map's ids.
     if !config.robot.segments.is_empty() {
         let map = setup::load_map(config.scene.path.as_deref())?;
@@ -63,8 +62,8 @@ pub fn run(args: &Args) -> CommandResult {
     }
     vacuum::run(&config, &domain, &broker, way, &stop).map_err(|error| match error {
         DriveError::Mqtt(error) => broker::failure(error),
-        DriveError::Ipc(_) => Failure::new(exit_code::IPC, error),
-        DriveError::Name(_) | DriveError::NoStay => Failure::new(exit_code::CONFIG, error),
-        _ => Failure::new(exit_code::FAILURE, error),
+        DriveError::Ipc(_) => Failure::ipc(error),
+        DriveError::Name(_) | DriveError::NoStay => Failure::config(error),
+        _ => Failure::failed(error),
     })
 }

@@ -99,10 +99,6 @@ struct Show {
     json: bool,
 }
 
-/// Runs the subcommand.
-///
-/// # Errors
-/// [`exit_code::INPUT`] for an unusable map, [`exit_code::CHECK`] for a check with faults.
 pub fn run(args: &Args) -> CommandResult {
     match &args.command {
         Command::Import(args) => scene_import::run(args),

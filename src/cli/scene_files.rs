@@ -11,10 +11,9 @@ use roomcast_services::sensor_log::RULES_BYTES_MAX;
 use roomcast_services::{logging, setup, state_file};
 
 use super::{CommandResult, Failure};
-use crate::exit_code;
 
 pub(super) fn input(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Failure {
-    Failure::new(exit_code::INPUT, error)
+    Failure::input(error)
 }
 
 pub(super) fn in_file(what: &str, path: &Path, error: &dyn std::error::Error) -> Failure {
@@ -56,7 +55,7 @@ pub(super) fn write(path: &Path, bytes: &[u8]) -> CommandResult {
         let (path, error) = (path.display(), said.rsplit_once(" at path ").map_or(&said[..], |(said, _)| said));
         // A refused place has its own remedy.
         let remedy = if is_refused { "" } else { "; check the folder and its permissions" };
-        Failure::new(exit_code::FAILURE, format!("cannot write {path}: {error}{remedy}"))
+        Failure::failed(format!("cannot write {path}: {error}{remedy}"))
     };
     state_file::write_out(path, bytes).map_err(fail)
 }

@@ -11,7 +11,6 @@ use super::choice::choice;
 use super::home_source::{HomeOptions, home_assistant, is_url, write_rules};
 use super::scene_files::{in_file, in_map, input, read, segment_names, write};
 use super::{CommandResult, Failure, count, print};
-use crate::exit_code;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::semantic_map::import::{self, Furnish, Home, Imported, Registries, Up};
 
@@ -90,7 +89,7 @@ impl Args {
         };
         let of = of.to_possible_value();
         let of = of.as_ref().map_or("", |value| value.get_name());
-        Err(Failure::new(exit_code::USAGE, format!("{option} {why}; give --format {of}, or leave it out")))
+        Err(Failure::usage(format!("{option} {why}; give --format {of}, or leave it out")))
     }
 }
 
@@ -139,7 +138,7 @@ impl Args {
     fn only(&self, what: &str) -> Result<&Path, Failure> {
         match &self.graph[..] {
             [only] => Ok(only),
-            _ => Err(Failure::new(exit_code::USAGE, format!("{what}; give exactly one"))),
+            _ => Err(Failure::usage(format!("{what}; give exactly one"))),
         }
     }
 
@@ -261,6 +260,7 @@ fn map_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::exit_code;
 
     #[test]
     fn the_keys_of_a_map_show_its_format() {

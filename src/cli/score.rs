@@ -9,7 +9,6 @@ use super::choice::{CorrectionArgs, choice};
 use super::{CommandResult, Failure, count, model, ranges};
 use crate::bar::bar;
 use crate::columns::prose;
-use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::narration::{Action, Observation, Sentence};
@@ -120,7 +119,7 @@ impl Args {
 
 /// The pipeline after its one step, and its map.
 pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap), Failure> {
-    let usage = |error: &str| Err(Failure::new(exit_code::USAGE, error));
+    let usage = |error: &str| Err(Failure::usage(error));
     if !args.method.allows(args.effort) {
         return usage("only --method trie can end early: leave out --method, or give --effort exact");
     }
@@ -128,7 +127,7 @@ pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap),
         return usage("--deadline-ms says nothing without --effort deadline: give both, or neither");
     }
     let map = setup::load_map(args.scene.as_deref())?;
-    let grounding = Grounding::new(&map, &args.grounding()).map_err(|e| Failure::new(exit_code::INPUT, e))?;
+    let grounding = Grounding::new(&map, &args.grounding()).map_err(Failure::input)?;
     let observations = observations(args)?;
     let model = model::load(args.model.as_deref(), &args.llama_options())?;
     let options = PipelineOptions {
@@ -142,8 +141,8 @@ pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap),
             .map_or(PipelineOptions::default().deadline_ns, |milliseconds| milliseconds * 1_000_000),
         history: HistoryLimits::exact(args.history),
     };
-    let mut pipeline = Pipeline::new(model, grounding, options).map_err(|e| Failure::new(exit_code::MODEL, e))?;
-    pipeline.step(observations).map_err(|e| Failure::new(exit_code::MODEL, e))?;
+    let mut pipeline = Pipeline::new(model, grounding, options).map_err(Failure::model)?;
+    pipeline.step(observations).map_err(Failure::model)?;
     Ok((pipeline, map))
 }
 
@@ -155,24 +154,23 @@ fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
         let steps = args.steps.unwrap_or(program.steps.len());
         if steps > program.steps.len() {
             let (path, has) = (path.display(), program.steps.len());
-            return Err(Failure::new(
-                exit_code::INPUT,
-                format!("--steps {steps} is more than the program {path} has: give at most {has}"),
-            ));
+            return Err(Failure::input(format!(
+                "--steps {steps} is more than the program {path} has: give at most {has}"
+            )));
         }
         for action in &program.steps[..steps] {
-            sentences.push(Sentence::new(&action.sentence()).map_err(|e| Failure::new(exit_code::INPUT, e))?);
+            sentences.push(Sentence::new(&action.sentence()).map_err(Failure::input)?);
         }
     }
     for line in
         args.text.as_deref().or(args.narration.as_deref()).unwrap_or_default().lines().filter(|l| !l.trim().is_empty())
     {
         if line.trim_start().starts_with('[') {
-            let action = Action::parse(line).map_err(|e| Failure::new(exit_code::INPUT, e))?;
-            sentences.push(Sentence::new(&action.sentence()).map_err(|e| Failure::new(exit_code::INPUT, e))?);
+            let action = Action::parse(line).map_err(Failure::input)?;
+            sentences.push(Sentence::new(&action.sentence()).map_err(Failure::input)?);
         } else {
             for sentence in line.split_inclusive(". ").filter(|s| !s.trim().is_empty()) {
-                sentences.push(Sentence::new(sentence).map_err(|e| Failure::new(exit_code::INPUT, e))?);
+                sentences.push(Sentence::new(sentence).map_err(Failure::input)?);
             }
         }
     }

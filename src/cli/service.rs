@@ -64,13 +64,9 @@ impl Args {
     }
 
     /// Reads the configuration and names the domain.
-    ///
-    /// # Errors
-    ///
-    /// If the file is malformed or the domain is invalid.
     pub fn load(&self) -> Result<(Config, Domain), Failure> {
         let mut config = match &self.config {
-            Some(path) => Config::load(path).map_err(|error| Failure::new(exit_code::CONFIG, error))?,
+            Some(path) => Config::load(path).map_err(Failure::config)?,
             None => Config::default(),
         };
         if self.root.is_some() {
@@ -79,7 +75,7 @@ impl Args {
         if let Some(name) = &self.domain {
             config.ipc.domain.clone_from(name);
         }
-        let domain = config.ipc.domain().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+        let domain = config.ipc.domain().map_err(Failure::config)?;
         Ok((config, domain))
     }
 }
@@ -92,34 +88,28 @@ pub struct Asker {
 
 impl Asker {
     /// Joins the domain as `participant`, to ask on `service` and wait `patience_s` seconds for each answer.
-    ///
-    /// # Errors
-    ///
-    /// If the domain or the service cannot be joined.
     pub fn new(domain: &Domain, participant: &str, service: &'static str, patience_s: u64) -> Result<Self, Failure> {
         let port = domain.open(participant).and_then(|node| node.question_port(service));
-        let port = port.map_err(|error| Failure::new(exit_code::IPC, error))?;
+        let port = port?;
         Ok(Self { port, patience: Duration::from_secs(patience_s) })
     }
 
     pub fn ask<A: DeserializeOwned>(&self, question: &impl Serialize) -> Result<A, Failure> {
-        let question = serde_json::to_string(question).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
-        let text = self.port.ask(&question, self.patience).map_err(|error| Failure::new(exit_code::IPC, error))?;
+        let question = serde_json::to_string(question).map_err(Failure::failed)?;
+        let text = self.port.ask(&question, self.patience)?;
         serde_json::from_str(&text).map_err(|error| {
             let text = format!("the daemon's answer cannot be read: {error}; use one version of Roomcast");
-            Failure::new(exit_code::IPC, text)
+            Failure::ipc(text)
         })
     }
 }
 
 /// A random name for a question.
-#[must_use]
 pub fn question_name() -> String {
     format!("{:016x}", sequence::random_epoch())
 }
 
 /// A domain as messages name it.
-#[must_use]
 pub fn shown(domain: &Domain) -> String {
     format!("the domain {} at {}", domain.name(), domain.root().display())
 }
@@ -136,18 +126,14 @@ pub fn has_end(path: &Path) -> bool {
 
 /// The failure of a command that was stopped before its work was done.
 pub fn interrupted(done: &str) -> Failure {
-    Failure::new(exit_code::INTERRUPTED, format!("interrupted: {done}"))
+    Failure::interrupted(format!("interrupted: {done}"))
 }
 
 /// A stop on signals, and at the end of the parent process on a stage.
-///
-/// # Errors
-///
-/// If the system refuses the handlers.
 pub fn stop() -> Result<Stop, Failure> {
     let stop = Stop::on_signals(exit_code::INTERRUPTED, logging::finish);
     stop.and_then(|stop| stage::leave_with_parent().map(|()| stop))
-        .map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot handle signals: {error}")))
+        .map_err(|error| Failure::failed(format!("cannot handle signals: {error}")))
 }
 
 #[cfg(test)]

@@ -20,10 +20,6 @@ const STOP_WITHIN: Duration = Duration::from_secs(5);
 const PARENT_VARIABLE: &str = "ROOMCAST_STAGE";
 
 /// Ends this process together with its stage's parent, which may be killed without a chance to end it.
-///
-/// # Errors
-///
-/// If the system refuses.
 pub(super) fn leave_with_parent() -> io::Result<()> {
     let Some(parent) = std::env::var(PARENT_VARIABLE).ok().and_then(|text| text.parse().ok()).and_then(Pid::from_raw)
     else {
@@ -55,7 +51,7 @@ impl Stage {
     pub(super) fn configure(&mut self, text: &str) -> CommandResult {
         let path = self.logs.join("config.toml");
         std::fs::write(&path, text)
-            .map_err(|error| Failure::new(exit_code::FAILURE, format!("cannot write {}: {error}", path.display())))?;
+            .map_err(|error| Failure::failed(format!("cannot write {}: {error}", path.display())))?;
         self.config = Some(path);
         Ok(())
     }
@@ -73,8 +69,7 @@ impl Stage {
         input: Stdio,
         output: Stdio,
     ) -> CommandResult {
-        let failed =
-            |error: io::Error| Failure::new(exit_code::FAILURE, format!("cannot start `roomcast {command}`: {error}"));
+        let failed = |error: io::Error| Failure::failed(format!("cannot start `roomcast {command}`: {error}"));
         let log = File::create(self.log(self.children.len())).map_err(failed)?;
         let child = Command::new(std::env::current_exe().map_err(failed)?)
             .arg(command)

@@ -17,7 +17,6 @@ use serde_json::{Value, json};
 
 use super::{CommandResult, Failure, ranges, service};
 use crate::decided::{Decided, News};
-use crate::exit_code;
 use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
 use crate::reasons::Reasons;
 use crate::top::{POINT_NS, View, set_places};
@@ -52,7 +51,7 @@ pub fn run(args: &Args) -> CommandResult {
     if args.json || !std::io::stdout().is_terminal() {
         return lines(&domain, &stop, args.snapshots, config.planner.robot);
     }
-    let mut terminal = ratatui::try_init().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    let mut terminal = ratatui::try_init().map_err(Failure::failed)?;
     let shown = screen(&domain, &stop, args.snapshots, &config.planner.robot, &mut terminal);
     ratatui::restore();
     shown
@@ -70,10 +69,6 @@ fn left(count: u64, limit: Option<u64>) -> CommandResult {
         Some(limit) if count < limit => Err(service::interrupted(&format!("{count} of {limit} snapshots came"))),
         _ => Ok(()),
     }
-}
-
-fn ipc(error: IpcError) -> Failure {
-    Failure::new(exit_code::IPC, error)
 }
 
 /// What the view shows.
@@ -175,12 +170,12 @@ fn screen(
     robot: &str,
     terminal: &mut ratatui::DefaultTerminal,
 ) -> CommandResult {
-    let terminal_failure = |error: std::io::Error| Failure::new(exit_code::FAILURE, error);
-    let mut ports = Drawn::new(domain).map_err(ipc)?;
+    let terminal_failure = |error: std::io::Error| Failure::failed(error);
+    let mut ports = Drawn::new(domain)?;
     let mut view = View::of_robot(robot);
     let mut heard = Instant::now();
     while !stop.requested() {
-        if !view.paused && ports.take(&mut view).map_err(ipc)? {
+        if !view.paused && ports.take(&mut view)? {
             heard = Instant::now();
         }
         terminal.draw(|frame| view.draw(frame, clock::monotonic_ns())).map_err(terminal_failure)?;
@@ -191,7 +186,7 @@ fn screen(
         if view.paused {
             heard = Instant::now();
         } else if limit.is_some() && heard.elapsed() >= SILENCE {
-            return Err(Failure::new(exit_code::IPC, silence(domain)));
+            return Err(Failure::ipc(silence(domain)));
         }
         if !event::poll(FRAME).map_err(terminal_failure)? {
             continue;
@@ -216,22 +211,22 @@ fn screen(
 
 /// One line of JSON per snapshot, without heartbeats. Without a daemon, a limited view ends with an error, and an unlimited one warns and waits.
 fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>, robot: String) -> CommandResult {
-    let node = domain.open("roomcast-top").map_err(ipc)?;
-    let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
-    let mut others = Others::open(&node, robot).map_err(ipc)?;
+    let node = domain.open("roomcast-top")?;
+    let scores = node.subscriber::<RoomScoresV1>()?;
+    let mut others = Others::open(&node, robot)?;
     let mut taken = None::<RoomScoresV1>;
     let mut count = 0;
     let mut silent_from = Some(Instant::now());
     while !stop.requested() && limit.is_none_or(|limit| count < limit) {
-        scores.wait(Duration::from_millis(250)).map_err(ipc)?;
-        others.receive().map_err(ipc)?;
-        let Some(snapshot) = scores.newest().map_err(ipc)? else {
+        scores.wait(Duration::from_millis(250))?;
+        others.receive()?;
+        let Some(snapshot) = scores.newest()? else {
             if let Some(known) = taken.filter(|_| !others.decisions.is_empty()) {
                 print_line(&known, &mut others)?;
             }
             if silent_from.is_some_and(|from| from.elapsed() >= SILENCE) {
                 if limit.is_some() {
-                    return Err(Failure::new(exit_code::IPC, silence(domain)));
+                    return Err(Failure::ipc(silence(domain)));
                 }
                 super::tell(format_args!("roomcast: {}; this waits for it", silence(domain)));
                 silent_from = None;
@@ -243,7 +238,7 @@ fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>, robot: String) -> Com
         taken = Some(snapshot);
         count += u64::from(is_new);
         if is_new {
-            others.receive_behind(&snapshot).map_err(ipc)?;
+            others.receive_behind(&snapshot)?;
         }
         if is_new || !others.decisions.is_empty() {
             print_line(&snapshot, &mut others)?;
@@ -465,6 +460,7 @@ mod tests {
     use roomcast_ipc::text;
 
     use super::*;
+    use crate::exit_code;
 
     #[test]
     fn whoever_leaves_before_what_was_wanted_has_been_interrupted() {

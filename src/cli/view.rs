@@ -35,7 +35,7 @@ pub fn run(args: &Args) -> CommandResult {
     let served = match &args.recording {
         Some(_) if args.service.on_command_line() => {
             let text = "--config, --root and --domain name a running system: leave them out with --recording";
-            return Err(Failure::new(exit_code::USAGE, text));
+            return Err(Failure::usage(text));
         }
         Some(path) => {
             let recording = record::read_until(path, &|| stop.requested())?;

@@ -23,9 +23,6 @@ pub(super) struct Areas {
 
 impl Areas {
     /// Matches the areas with a robot's map, and adds those of other floors, with the boxes of the areas' own map.
-    ///
-    /// # Errors
-    /// If the rooms do not fit into the map.
     pub(super) fn find(imported: Imported, areas: &SemanticMap) -> Result<(Imported, Self), Failure> {
         let map = &imported.map;
         let floor_m = floor_of(map, areas);

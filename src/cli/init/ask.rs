@@ -46,7 +46,7 @@ impl Asker {
         let mut line = String::new();
         if input.read_line(&mut line).map_err(failed)? == 0 {
             let text = "the answers ended before the questions; nothing was written";
-            return Err(Failure::new(exit_code::INTERRUPTED, text));
+            return Err(Failure::interrupted(text));
         }
         let answer = line.trim();
         Ok(Some(if answer.is_empty() { default.to_owned() } else { answer.to_owned() }))
@@ -76,13 +76,13 @@ impl Asker {
         self.until(question, shown, |_, answer| match answer.to_lowercase().as_str() {
             "y" | "yes" => Ok(true),
             "n" | "no" => Ok(false),
-            _ => Err(Failure::new(exit_code::INPUT, "answer yes or no")),
+            _ => Err(Failure::input("answer yes or no")),
         })
     }
 }
 
 fn failed(error: io::Error) -> Failure {
-    Failure::new(exit_code::FAILURE, format!("cannot ask: {error}; give --yes and the options"))
+    Failure::failed(format!("cannot ask: {error}; give --yes and the options"))
 }
 
 #[cfg(test)]
@@ -130,9 +130,8 @@ mod tests {
     fn a_wrong_answer_is_asked_again_and_the_end_of_answers_is_the_end() {
         let mut asker = asker("maybe\nYES\nsix\n7\nsix\n");
         assert_eq!(asker.yes_or_no("Sure?", false).unwrap(), Some(true));
-        let number = |_: &mut Asker, text: &str| {
-            text.parse::<u32>().map_err(|_| Failure::new(exit_code::INPUT, format!("{text} is no number")))
-        };
+        let number =
+            |_: &mut Asker, text: &str| text.parse::<u32>().map_err(|_| Failure::input(format!("{text} is no number")));
         assert_eq!(asker.until("How many?", "", number).unwrap(), Some(7));
         assert_eq!(asker.until("How many?", "", number).unwrap_err().code, exit_code::INTERRUPTED);
     }

@@ -13,7 +13,6 @@ use super::ask::Asker;
 use super::{Args, CommandResult, Failure, MAP, import_map, input};
 use crate::cli::home_source::{HomeOptions, home_assistant, is_url};
 use crate::cli::scene_files::read;
-use crate::exit_code;
 
 /// How long to listen for robots at the broker.
 const LOOK: Duration = Duration::from_secs(3);
@@ -50,7 +49,7 @@ pub(super) fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
     let (mut home_assistant, token) = find_home_assistant(args, asker, &mut notes)?;
     if home_assistant.is_none() && !args.leave_out.is_empty() {
         let text = "--leave-out names an area of Home Assistant, and there is none: give --home-assistant, or remove --leave-out";
-        return Err(Failure::new(exit_code::USAGE, text));
+        return Err(Failure::usage(text));
     }
     let (broker, seen) = find_broker(args, asker, &mut notes)?;
     let robot = match args.robot.as_deref() {
@@ -66,7 +65,7 @@ pub(super) fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
     if !valetudo.as_deref().map_or(is_told, |path| !is_none(path)) {
         if args.names.is_some() {
             let text = "--names names the segments of a robot's map, and there is none: give --valetudo FILE or mqtt, or leave --names out";
-            return Err(Failure::new(exit_code::USAGE, text));
+            return Err(Failure::usage(text));
         }
         if home_assistant.is_none() {
             return Err(no_rooms());
@@ -243,22 +242,22 @@ fn of_no_broker(args: &Args, robot: bool) -> CommandResult {
     let text = format!(
         "{option} is for a home with a broker, and there is none: give --mqtt mqtt://HOST[:PORT], or leave {option} out"
     );
-    Err(Failure::new(exit_code::USAGE, text))
+    Err(Failure::usage(text))
 }
 
 pub(super) fn no_rooms() -> Failure {
     let text = "nothing tells of the home's rooms: give --home-assistant FOLDER or URL, or --valetudo FILE or mqtt (docs/home.md), or write the map \
                 by hand (scenes/README.md)";
-    Failure::new(exit_code::USAGE, text)
+    Failure::usage(text)
 }
 
 /// The failure of an unusable broker configuration.
 fn unusable(error: LookError) -> Failure {
     if matches!(&error, LookError::Setup(MqttError::Read { .. })) {
         let text = format!("{error}; give --mqtt-credentials and --mqtt-ca files that are there, or leave them out");
-        return Failure::new(exit_code::USAGE, text);
+        return Failure::usage(text);
     }
-    Failure::new(exit_code::USAGE, error)
+    Failure::usage(error)
 }
 
 /// The topics of robots with Valetudo at the broker.
@@ -319,7 +318,7 @@ fn find_robot(
         (None, _) => {
             let text =
                 format!("there are several robots at the broker: {shown}; give one with --robot, or --robot none");
-            Err(Failure::new(exit_code::USAGE, text))
+            Err(Failure::usage(text))
         }
     }
 }
@@ -399,9 +398,7 @@ fn find_residents(
 fn find_quiet(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Result<Vec<QuietHours>, Failure> {
     let read = |text: &str| -> Result<Vec<QuietHours>, Failure> {
         let parts = text.split(';').map(str::trim).filter(|part| !part.is_empty() && *part != "none");
-        parts
-            .map(|part| QuietHours::try_from(part.to_owned()).map_err(|error| Failure::new(exit_code::USAGE, error)))
-            .collect()
+        parts.map(|part| QuietHours::try_from(part.to_owned()).map_err(Failure::usage)).collect()
     };
     if !args.quiet.is_empty() {
         return read(&args.quiet.join(";"));
@@ -438,9 +435,9 @@ fn names_in(text: &str) -> Vec<String> {
 /// Checks whether these may be residents.
 fn checked_residents(names: &[String]) -> CommandResult {
     if names.iter().any(|name| name == "none") {
-        return Err(Failure::new(exit_code::USAGE, "none means nobody and stands alone: give names, or none"));
+        return Err(Failure::usage("none means nobody and stands alone: give names, or none"));
     }
     let mut config = Config::default();
     config.persons.residents = names.to_vec();
-    config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))
+    config.check().map_err(Failure::config)
 }
