@@ -7,9 +7,14 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
+use crate::experiment::baselines::Statistics;
+use crate::experiment::losses::{Figure, Summary, shown};
+use crate::experiment::prediction::{self, NamedProgram, Part, Report, Target};
+use crate::experiment::report::Table;
+use crate::experiment::{Progress, distinct};
 use roomcast_cli::choice::{CorrectionArgs, choice};
 use roomcast_cli::{
-    CommandResult, Failure, count, ended, exit_code, model, ranges, report_faults, report_first_faults,
+    CommandResult, Failure, count, ended, model, print, print_json, ranges, report_faults, report_first_faults,
     take_negative_numbers,
 };
 use roomcast_core::forecast::ForecastOptions;
@@ -18,14 +23,10 @@ use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::{Method, Tokenisation};
 use roomcast_core::semantic_map::{SemanticMap, import};
-use roomcast_lab::experiment::baselines::Statistics;
-use roomcast_lab::experiment::losses::Summary;
-use roomcast_lab::experiment::prediction::{self, NamedProgram, Part, Report, Target};
-use roomcast_lab::experiment::{ExperimentError, Progress};
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast_services::setup;
+use roomcast_simulation::ScoreSource;
 use roomcast_simulation::binding::ItemChoice;
-use roomcast_simulation::{ScoreSource, StudyError};
 
 mod card;
 mod familiarity;
@@ -147,11 +148,11 @@ impl ModelArgs {
         })
     }
 
-    fn source(&self, grounding: &Grounding) -> Result<ScoreSource<LlamaModel>, ExperimentError> {
+    fn source(&self, grounding: &Grounding) -> Result<ScoreSource<LlamaModel>, Failure> {
         let default = LlamaOptions::default();
         let threads = if self.threads == 0 { default.threads } else { self.threads };
         let model = model::load(self.model.as_deref(), &LlamaOptions { threads, cache: self.kv_cache, ..default })
-            .map_err(|failure| StudyError::Model(failure.error))?;
+            .map_err(|failure| Failure::model(failure.error))?;
         let labels = grounding.label_texts();
         // Another arithmetic gives other scores, so it has its own cache.
         let folder = self.cache().map(|folder| match self.kv_cache {
@@ -177,26 +178,72 @@ impl LikeThingsArgs {
     }
 }
 
+/// Arguments of all forecasts of next objects and rooms.
 #[derive(Debug, clap::Args)]
-struct ForecastArgs {
+struct Asked {
     /// A folder of activity programs (VirtualHome) or of days (HOMER+), or one such file.
     #[arg(long, value_name = "DIR")]
     programs: PathBuf,
     /// A scene file, the name of a shipped scene, or a VirtualHome graph (*_graph.json); may be repeated.
     #[arg(long, value_name = "FILE", required = true)]
     scene: Vec<PathBuf>,
-    /// Programs that the baselines are counted on, may be repeated; by default the statistics of the embedded model's training split.
-    #[arg(long, value_name = "DIR")]
-    fit: Vec<PathBuf>,
+    /// Which of a label's items an object of a program means; may be repeated.
+    #[arg(long, value_parser = choice::<ItemChoice>(), default_values_t = BINDINGS)]
+    items: Vec<ItemChoice>,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+    /// Print this experiment's tables in Markdown, as the model card has them.
+    #[arg(long, conflicts_with = "json")]
+    markdown: bool,
+}
+
+impl Asked {
+    /// `open` gives the source of scores for a part, by its number.
+    fn measure(
+        &self,
+        maps: &[(SemanticMap, Grounding)],
+        parts: &[Part],
+        model: &ModelArgs,
+        (binding, forecast): (BindingSequence, ForecastOptions),
+        open: impl FnMut(usize, &Grounding) -> Result<ScoreSource<LlamaModel>, Failure>,
+    ) -> Result<Report, Failure> {
+        let items = distinct(self.items.iter().copied());
+        let options = prediction::Options { history: model.limits(), binding, items, forecast, seed: model.seed };
+        let programs: usize = parts.iter().map(|part| part.programs.len()).sum();
+        let progress = Progress::new("programs", programs * maps.len() * options.items.len());
+        prediction::run(maps, parts, &options, &progress, open)
+    }
+
+    fn print(&self, reports: &[Report]) -> CommandResult {
+        if self.json {
+            return print_json(&reports);
+        }
+        let text = if self.markdown { forecast_markdown } else { forecast_text };
+        print(&reports.iter().map(text).collect::<Vec<_>>().join("\n"))
+    }
+}
+
+/// A split of a training manifest.
+#[derive(Debug, clap::Args)]
+struct SplitArgs {
     /// Take only the programs of a split that a training manifest lists, such as models/manifest.json.
     #[arg(long, value_name = "FILE")]
     manifest: Option<PathBuf>,
     /// Which split of the manifest.
     #[arg(long, value_name = "NAME", default_value = "test", requires = "manifest")]
     split: String,
-    /// Which of a label's items an object of a program means; may be repeated.
-    #[arg(long, value_parser = choice::<ItemChoice>(), default_values_t = BINDINGS)]
-    items: Vec<ItemChoice>,
+}
+
+#[derive(Debug, clap::Args)]
+struct ForecastArgs {
+    #[command(flatten)]
+    asked: Asked,
+    /// Programs that the baselines are counted on, may be repeated; by default the statistics of the embedded model's training split.
+    #[arg(long, value_name = "DIR")]
+    fit: Vec<PathBuf>,
+    #[command(flatten)]
+    split: SplitArgs,
     /// The binding sequence: default, p0 to p5, or a text of your own.
     #[arg(long, value_name = "TEXT", default_value = "default")]
     binding: BindingSequence,
@@ -204,12 +251,6 @@ struct ForecastArgs {
     like_things: LikeThingsArgs,
     #[command(flatten)]
     model: ModelArgs,
-    /// Print one JSON object.
-    #[arg(long)]
-    json: bool,
-    /// Print this experiment's tables in Markdown, as the model card has them.
-    #[arg(long, conflicts_with = "json")]
-    markdown: bool,
 }
 
 /// The bindings that are shown side by side: a person takes any thing of a kind, or the nearest.
@@ -248,38 +289,25 @@ fn run(args: &Args) -> CommandResult {
 }
 
 fn run_forecast(args: &ForecastArgs) -> CommandResult {
-    let (programs, faults) = prediction::load_programs(&args.programs)?;
-    report_faults(&faults);
-    let (programs, trained) = match &args.manifest {
+    let programs = prediction::load_programs(&args.asked.programs)?;
+    let (programs, trained) = match &args.split.manifest {
         Some(manifest) => {
             let manifest = Manifest::read(manifest)?;
             let trained = if args.model.model.is_none() { manifest.of_split(&programs, TRAINED)? } else { Vec::new() };
-            (manifest.split(programs, &args.split)?, trained)
+            (manifest.split(programs, &args.split.split)?, trained)
         }
         None => (programs, Vec::new()),
     };
     let statistics = fitted(&[], &args.fit, &embedded_statistics()?)?;
-    let maps = maps(&args.scene)?;
-    let options = prediction::Options {
-        history: args.model.limits(),
-        binding: args.binding.clone(),
-        items: distinct(&args.items),
-        forecast: args.like_things.options(),
-        seed: args.model.seed,
-    };
-    let progress = Progress::new("programs", programs.len() * maps.len() * options.items.len());
-    let open = |_, grounding: &Grounding| args.model.source(grounding);
     let parts = [Part { programs, trained, statistics }];
-    let report = prediction::run(&maps, &parts, &options, &progress, open)?;
-    drop(progress);
-    if args.json {
-        return roomcast_cli::print_json(&report);
-    }
-    roomcast_cli::print(&if args.markdown { forecast_markdown(&report) } else { forecast_text(&report) })
+    let how = (args.binding.clone(), args.like_things.options());
+    let open = |_, grounding: &Grounding| args.model.source(grounding);
+    let report = args.asked.measure(&maps(&args.asked.scene)?, &parts, &args.model, how, open)?;
+    if args.asked.json { print_json(&report) } else { args.asked.print(&[report]) }
 }
 
 fn embedded_statistics() -> Result<Statistics, Failure> {
-    Statistics::from_json(roomcast_services::embedded::STATISTICS).map_err(|e| Failure::new(exit_code::FAILURE, e))
+    Statistics::from_json(roomcast_services::embedded::STATISTICS).map_err(Failure::failed)
 }
 
 fn corrections(report: &Report) -> String {
@@ -293,22 +321,11 @@ fn fitted(own: &[NamedProgram], folders: &[PathBuf], statistics: &Statistics) ->
     }
     let mut programs = own.to_vec();
     for folder in folders {
-        let (more, faults) = prediction::load_programs(folder)?;
-        report_faults(&faults);
+        let more = prediction::load_programs(folder)?;
         programs.extend(more);
     }
     let counts = Statistics::fit(programs.iter().map(|named| &named.program));
     Ok(Statistics { kneser_ney: statistics.kneser_ney, ..counts })
-}
-
-fn distinct<T: Copy + PartialEq>(given: &[T]) -> Vec<T> {
-    let mut once = Vec::new();
-    for own in given {
-        if !once.contains(own) {
-            once.push(*own);
-        }
-    }
-    once
 }
 
 /// Results name scenes, so no two may have the same name.
@@ -322,10 +339,9 @@ fn maps(paths: &[PathBuf]) -> Result<Vec<(SemanticMap, Grounding)>, Failure> {
                 path.display(),
                 map.name()
             );
-            return Err(Failure::new(exit_code::INPUT, fault));
+            return Err(Failure::input(fault));
         }
-        let grounding =
-            Grounding::new(&map, &GroundingOptions::default()).map_err(|e| Failure::new(exit_code::INPUT, e))?;
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).map_err(Failure::input)?;
         maps.push((map, grounding));
     }
     Ok(maps)
@@ -333,12 +349,18 @@ fn maps(paths: &[PathBuf]) -> Result<Vec<(SemanticMap, Grounding)>, Failure> {
 
 const GRAPH: &str = "_graph.json";
 
+fn in_file(path: &Path, error: impl std::fmt::Display) -> Failure {
+    Failure::input(format!("{}: {error}", path.display()))
+}
+
+fn read(path: &Path) -> Result<String, Failure> {
+    std::fs::read_to_string(path).map_err(|error| in_file(path, error))
+}
+
 fn load_map(path: &Path) -> Result<SemanticMap, Failure> {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let Some(name) = name.strip_suffix(GRAPH) else { return Ok(setup::load_map(Some(path))?) };
-    let failed = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", path.display()));
-    let text = std::fs::read_to_string(path).map_err(|e| failed(e.to_string()))?;
-    Ok(import::virtualhome(&text, name, None).map_err(|e| failed(e.to_string()))?.map)
+    Ok(import::virtualhome(&read(path)?, name, None).map_err(|error| in_file(path, error))?.map)
 }
 
 const TRAINED: &str = "train";
@@ -364,14 +386,12 @@ struct Split {
 
 impl Manifest {
     fn read(path: &Path) -> Result<Self, Failure> {
-        let failed = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", path.display()));
-        let text = std::fs::read_to_string(path).map_err(|e| failed(e.to_string()))?;
-        let parsed: Self = serde_json::from_str(&text).map_err(|e| failed(e.to_string()))?;
+        let parsed: Self = serde_json::from_str(&read(path)?).map_err(|error| in_file(path, error))?;
         Ok(Self { path: path.to_owned(), ..parsed })
     }
 
     fn failed(&self, error: impl std::fmt::Display) -> Failure {
-        Failure::new(exit_code::INPUT, format!("{}: {error}", self.path.display()))
+        in_file(&self.path, error)
     }
 
     /// The programs of a split, with their activities. Only `roomcast-lab sealed` may use the sealed one.
@@ -411,58 +431,50 @@ impl Manifest {
 }
 
 /// A table with these heads, with commas between them.
-fn headed(heads: &str) -> comfy_table::Table {
-    roomcast_cli::table(&heads.split(", ").collect::<Vec<_>>())
+fn headed(heads: &str, rows: impl IntoIterator<Item = Vec<String>>) -> Table {
+    Table { rows: rows.into_iter().collect(), ..Table::new("", "", heads.split(", ")) }
 }
 
 fn forecast_text(report: &Report) -> String {
-    let mut table =
-        headed("scene, target, things, predictor, cases, nll (nats), top-1, top-5, mrr, brier, confidence, ece");
-    let mut differences = headed("scene, target, things, model less, nll (nats), top-1, top-5, mrr, brier");
-    let mut activities =
-        headed("scene, target, things, predictor, nll (nats), top-1, mrr, ece, model less: nll (nats), top-1, mrr");
     let mut rows: Vec<_> = report.rows.iter().collect();
     rows.sort_by(|a, b| (&a.scene, a.target, a.items).cmp(&(&b.scene, b.target, b.items)));
-    let with = |(value, interval): (f64, Option<[f64; 2]>)| match interval {
-        None => format!("{value:.3}"),
-        Some([low, high]) => format!("{value:.3} [{low:.3}, {high:.3}]"),
+    let with = |figure: Figure| shown(figure, 3);
+    let named = |row: &prediction::Row, cells: &[String]| -> Vec<String> {
+        let things = row.items.unwrap_or("any").to_owned();
+        let named = [row.scene.clone(), target_name(row.target), things, row.predictor.to_owned()];
+        [&named, cells].concat()
     };
-    for row in rows {
-        let things = row.items.unwrap_or("any");
-        let named = [row.scene.clone(), target_name(row.target), things.to_owned(), row.predictor.to_owned()];
-        let figures = |s: &Summary| [s.nll(), s.top1(), s.top5(), s.mrr(), s.brier()].map(with);
-        if let Some(less) = &row.model_less_this {
-            differences.add_row(named.iter().cloned().chain(figures(less)));
-        }
-        let of_activities = |s: &Summary| [s.nll(), s.top1(), s.mrr(), s.ece()].map(with);
-        let [nll, top1, mrr, ece] = of_activities(&row.macro_average);
-        let less = row.model_less_this_by_activity.as_ref().map(of_activities);
-        let [nll_less, top1_less, mrr_less, _] = less.unwrap_or_default();
-        activities.add_row(named.iter().cloned().chain([nll, top1, mrr, ece, nll_less, top1_less, mrr_less]));
+    let scores = |s: &Summary| [s.nll(), s.top1(), s.top5(), s.mrr(), s.brier()].map(with);
+    let levels = rows.iter().map(|row| {
         let s = &row.summary;
         let calibration = [s.confidence(), s.ece()].map(with);
-        table.add_row(named.into_iter().chain([s.cases.to_string()]).chain(figures(s)).chain(calibration));
-    }
+        named(row, &[&[s.cases.to_string()][..], &scores(s), &calibration].concat())
+    });
+    let heads = "scene, target, things, predictor, cases, nll (nats), top-1, top-5, mrr, brier, confidence, ece";
+    let table = headed(heads, levels).text();
+    let less = rows.iter().filter_map(|row| Some(named(row, &scores(row.model_less_this.as_ref()?))));
+    let differences = headed("scene, target, things, model less, nll (nats), top-1, top-5, mrr, brier", less).text();
+    let alike = rows.iter().map(|row| {
+        let of_activities = |s: &Summary| [s.nll(), s.top1(), s.mrr(), s.ece()].map(with);
+        let less = row.model_less_this_by_activity.as_ref().map(of_activities).unwrap_or_default();
+        named(row, &[&of_activities(&row.macro_average)[..], &less[..3]].concat())
+    });
+    let heads = "scene, target, things, predictor, nll (nats), top-1, mrr, ece, model less: nll (nats), top-1, mrr";
+    let activities = headed(heads, alike).text();
     let mut text = format!(
         "{table}\n\nOn the same cases, resampled together, the model less each of them:\n{differences}\n\n\
          Where each of {} counts alike, and the difference over all cases with intervals over activities:\n{activities}\n",
-        if report.activities == 1 { "1 activity".to_owned() } else { format!("{} activities", report.activities) }
+        activities_of(report)
     );
     if !report.nearness.is_empty() {
-        let mut near = headed("nearness, programs, cases, nll (nats), mrr, over activities: nll (nats), mrr");
-        for third in &report.nearness {
+        let near = report.nearness.iter().map(|third| {
             let [from, to] = third.nearness;
             let (s, by) = (&third.model_less_kneser_ney_cache, &third.by_activity);
-            near.add_row([
-                format!("{from:.2} to {to:.2}"),
-                third.programs.to_string(),
-                s.cases.to_string(),
-                with(s.nll()),
-                with(s.mrr()),
-                with(by.nll()),
-                with(by.mrr()),
-            ]);
-        }
+            let figures = [s.nll(), s.mrr(), by.nll(), by.mrr()].map(with);
+            let named = [format!("{from:.2} to {to:.2}"), third.programs.to_string(), s.cases.to_string()];
+            named.into_iter().chain(figures).collect()
+        });
+        let near = headed("nearness, programs, cases, nll (nats), mrr, over activities: nll (nats), mrr", near).text();
         let _ = writeln!(
             text,
             "\nThe model less Kneser-Ney with its cache, next object, by the share of objects that a program has in common with the most \
@@ -493,19 +505,14 @@ fn forecast_text(report: &Report) -> String {
     text
 }
 
+fn activities_of(report: &Report) -> String {
+    if report.activities == 1 { "1 activity".to_owned() } else { format!("{} activities", report.activities) }
+}
+
 fn left_out(report: &Report) -> String {
     match report.programs_without_case {
         0 => String::new(),
         without => format!(" ({without} more without a case)"),
-    }
-}
-
-type Figure = (f64, Option<[f64; 2]>);
-
-fn level((value, interval): Figure) -> String {
-    match interval {
-        None => format!("{value:.2}"),
-        Some([low, high]) => format!("{value:.2} [{low:.2}, {high:.2}]"),
     }
 }
 
@@ -557,6 +564,7 @@ fn forecast_markdown(report: &Report) -> String {
                     }
                     Some(cells)
                 };
+            let level = |figure| shown(figure, 2);
             levels.extend(figures(|row| Some(row.summary), level));
             alike.extend(figures(|row| Some(row.macro_average), level));
             if ["model-near", "kneser-ney", "kneser-ney-cache", "frequency", "stay"].contains(&predictor) {
@@ -566,21 +574,20 @@ fn forecast_markdown(report: &Report) -> String {
             }
         }
     }
-    let header: Vec<&str> = header.iter().map(String::as_str).collect();
-    let mut less = header.clone();
-    less[1] = "model less";
-    let mut text = format!(
-        "{}\n\nThe model less each baseline, intervals over {n} programs:\n\n{}\n",
-        markdown(&header, &levels),
-        markdown(&less, &programs)
-    );
+    let table = |second: &str, rows: Vec<Vec<String>>| {
+        let mut header = header.clone();
+        header[1] = second.to_owned();
+        Table { header, rows, ..Table::default() }.markdown()
+    };
+    let (levels, programs) = (table("predictor", levels), table("model less", programs));
+    let mut text = format!("{levels}\n\nThe model less each baseline, intervals over {n} programs:\n\n{programs}\n");
     if m > 1 {
-        let tables = [(&less, &activities), (&header, &alike), (&less, &alike_less)];
-        let [by_activity, alike, alike_less] = tables.map(|(heads, rows)| markdown(heads, rows));
+        let (by_activity, alike) = (table("model less", activities), table("predictor", alike));
         let _ = writeln!(
             text,
             "\nThe same, intervals over {m} activities:\n\n{by_activity}\n\n\
-             Means in which each of {m} activities counts alike:\n\n{alike}\n\n{alike_less}"
+             Means in which each of {m} activities counts alike:\n\n{alike}\n\n{}",
+            table("model less", alike_less)
         );
     }
     if !report.nearness.is_empty() {
@@ -592,7 +599,7 @@ fn forecast_markdown(report: &Report) -> String {
         count(report.cases, "case"),
         count(n, "program"),
         left_out(report),
-        if m == 1 { "1 activity".to_owned() } else { format!("{m} activities") },
+        activities_of(report),
         100.0 * report.bound_share,
         report.same_label,
         corrections(report)
@@ -607,21 +614,9 @@ fn near_markdown(report: &Report) -> String {
         let figures = [s.nll(), s.mrr(), by.nll(), by.mrr()].map(difference);
         [format!("{from:.2} to {to:.2}"), third.programs.to_string()].into_iter().chain(figures).collect()
     };
-    let rows: Vec<Vec<String>> = report.nearness.iter().map(row).collect();
     let header = "objects in common with the nearest trained program, programs, NLL, MRR, over activities: NLL, MRR";
-    let table = markdown(&header.split(", ").collect::<Vec<_>>(), &rows);
+    let table = headed(header, report.nearness.iter().map(row)).markdown();
     format!("The model less Kneser-Ney with its cache, next object, by nearness:\n\n{table}")
-}
-
-fn markdown<H: AsRef<str>, C: AsRef<str>>(header: &[H], rows: &[Vec<C>]) -> String {
-    let line = |cells: &mut dyn Iterator<Item = &str>| {
-        let cells: Vec<String> = cells.map(|cell| cell.replace('|', "\\|")).collect();
-        format!("| {} |", cells.join(" | "))
-    };
-    let rule = format!("|{}", " --- |".repeat(header.len()));
-    let mut lines = vec![line(&mut header.iter().map(AsRef::as_ref)), rule];
-    lines.extend(rows.iter().map(|row| line(&mut row.iter().map(AsRef::as_ref))));
-    lines.join("\n")
 }
 
 fn target_name(target: Target) -> String {

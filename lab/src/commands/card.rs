@@ -1,11 +1,10 @@
 //! `roomcast-lab card`: every table of the model card, in Markdown, each below the command that prints it alone.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Parser as _;
 
 use super::{Args, BINDINGS};
-use roomcast_cli::exit_code;
 use roomcast_cli::{CommandResult, Failure, print};
 
 #[derive(Debug, clap::Args)]
@@ -31,115 +30,110 @@ pub(super) struct CardArgs {
     only: Option<String>,
 }
 
-const GRAPHS: [&str; 3] = ["TestScene1", "TestScene2", "TestScene5"];
-/// The graphs on which the planner was tried with the calibration split.
-const CALIBRATION_GRAPHS: [&str; 2] = ["TestScene1", "TestScene5"];
-/// Scenes other than homes, with their programs.
-const WORKPLACES: [(&str, [&str; 3]); 2] = [
-    ("ward", ["w0-medication-round", "w1-cleaning-and-fresh-beds", "w2-patients-morning"]),
-    ("warehouse", ["g0-receiving-a-delivery", "g1-picking-and-packing", "g2-end-of-shift"]),
-];
-const DAYS: [&str; 3] = ["000", "001", "002"];
-const PLACES: [&str; 4] = ["house", "ward", "warehouse", "office"];
-
-/// In the paper, a person takes any thing of a kind, and the window is the whole narration.
-const OF_THE_PAPER: [&str; 4] = ["--items", "uniform", "--history", "1000"];
-
 /// A table's title, and the arguments of `roomcast-lab` that print it.
 type Table = (String, Vec<String>);
 
-/// Long, because it is a list: each table of the card, in the card's order.
+/// The words of a command. A word that begins with the name of one of the folders, in capitals, is a path in it.
+fn words(args: &CardArgs, command: &str) -> Vec<String> {
+    let path = |word: &str| {
+        let (name, below) = word.split_once('/').unwrap_or((word, ""));
+        let folder = match name {
+            "SHARED" => Some(&args.shared),
+            "PROJECT" => Some(&args.project),
+            "ROUTINES" => args.routines.as_ref(),
+            "FOLDS" => args.folds.as_ref(),
+            "OUT" => args.out.as_ref(),
+            _ => None,
+        };
+        match folder {
+            None => word.to_owned(),
+            Some(folder) if below.is_empty() => folder.display().to_string(),
+            Some(folder) => folder.join(below).display().to_string(),
+        }
+    };
+    command.split_whitespace().map(path).collect()
+}
+
+/// Each table of the card, in the card's order.
 fn tables(args: &CardArgs) -> Vec<Table> {
-    let path = |folder: &Path, below: &str| folder.join(below).display().to_string();
-    let shared = |below: &str| path(&args.shared, below);
-    let project = |below: &str| path(&args.project, below);
-    let programs = shared("virtualhome/programs");
-    let manifest = project("models/manifest.json");
-    let scenes = |names: &[&str]| -> Vec<String> {
-        let graph = |name: &&str| ["--scene".to_owned(), shared(&format!("virtualhome/scenes/{name}_graph.json"))];
-        names.iter().flat_map(graph).collect()
-    };
     let mut tables: Vec<Table> = Vec::new();
-    let mut add = |title: &str, command: &[&str], more: Vec<String>| {
-        tables.push((title.to_owned(), command.iter().map(|word| (*word).to_owned()).chain(more).collect()));
+    let mut add = |title: String, command: String| tables.push((title, words(args, &command)));
+    let each =
+        |option: &str, values: &[&str]| values.iter().map(|value| format!(" --{option} {value}")).collect::<String>();
+    let graphs = |numbers: &[u8]| -> String {
+        numbers.iter().map(|n| format!(" --scene SHARED/virtualhome/scenes/TestScene{n}_graph.json")).collect()
     };
-    let of_split =
-        |split: &str| vec!["--manifest".to_owned(), manifest.clone(), "--split".to_owned(), split.to_owned()];
-    let forecast = |programs: &str| vec!["--programs".to_owned(), programs.to_owned()];
-    let of = |programs: &str| vec!["--program".to_owned(), programs.to_owned()];
-    let both: Vec<&str> = BINDINGS.map(<&str>::from).to_vec();
+    // The planner was tried with the calibration split on the first and the last.
+    let (scenes, calibration_scenes) = (graphs(&[1, 2, 5]), graphs(&[1, 5]));
+    let programs = "SHARED/virtualhome/programs";
+    let of_split = |split: &str| format!("{programs} --manifest PROJECT/models/manifest.json --split {split}");
+    let both = BINDINGS.map(<&str>::from);
+    let places = ["house", "ward", "warehouse", "office"];
+    let of_place = |place: &str| {
+        format!("--programs PROJECT/training/unseen/{place}/programs --scene PROJECT/training/unseen/{place}/map.json")
+    };
 
     for split in ["test", "calibration"] {
-        let more = [forecast(&programs), of_split(split), scenes(&GRAPHS)].concat();
-        add(&format!("Next object and room, {split} split"), &["forecast"], more);
+        let command = format!("forecast --programs {}{scenes}", of_split(split));
+        add(format!("Next object and room, {split} split"), command);
     }
-    let places: Vec<(&str, Vec<String>)> = PLACES
-        .iter()
-        .map(|place| {
-            let scene = vec!["--scene".to_owned(), project(&format!("training/unseen/{place}/map.json"))];
-            (*place, [forecast(&project(&format!("training/unseen/{place}/programs"))), scene].concat())
-        })
-        .collect();
-    for (place, asked) in &places {
-        let counted = args.routines.as_ref().map_or_else(Vec::new, |routines| {
-            let routines = routines.display().to_string();
-            ["--fit", &programs, "--fit", &routines].map(str::to_owned).to_vec()
-        });
-        add(&format!("Development place: {place}"), &["forecast"], [asked.clone(), counted].concat());
+    let counted = args.routines.as_ref().map_or_else(String::new, |_| each("fit", &[programs, "ROUTINES"]));
+    for place in places {
+        add(format!("Development place: {place}"), format!("forecast {}{counted}", of_place(place)));
     }
     for (continuation, prior) in [("free", "0"), ("free", "0.45"), ("labels", "0")] {
-        for (place, asked) in &places {
-            let title = format!("Corrections: continuation {continuation}, prior {prior}: {place}");
-            add(&title, &["forecast", "--continuation", continuation, "--prior", prior], asked.clone());
+        for place in places {
+            let command = format!("forecast --continuation {continuation} --prior {prior} {}", of_place(place));
+            add(format!("Corrections: continuation {continuation}, prior {prior}: {place}"), command);
         }
     }
-    if let Some(folds) = &args.folds {
-        let folds = vec!["--folds".to_owned(), folds.display().to_string()];
-        add("Folds", &["folds"], [folds, forecast(&programs), scenes(&GRAPHS)].concat());
+    if args.folds.is_some() {
+        add("Folds".to_owned(), format!("folds --folds FOLDS --programs {programs}{scenes}"));
     }
-    for (split, graphs) in [("calibration", &CALIBRATION_GRAPHS[..]), ("test", &GRAPHS[..])] {
-        for items in &both {
-            for (alike, more) in [("told apart", &[][..]), ("alike", &["--any-thing", "1"][..])] {
-                let line = [&["horizon", "--items", items], more].concat();
-                let title = format!("Like things {alike}, {split} split: {items}");
-                add(&title, &line, [of(&programs), of_split(split), scenes(graphs)].concat());
+    for (split, scenes) in [("calibration", &calibration_scenes), ("test", &scenes)] {
+        for items in both {
+            for (alike, more) in [("told apart", ""), ("alike", " --any-thing 1")] {
+                let command = format!("horizon --items {items}{more} --program {}{scenes}", of_split(split));
+                add(format!("Like things {alike}, {split} split: {items}"), command);
             }
         }
     }
-    add("Table II, seen activities", &["table2", "--setups"], Vec::new());
-    let unseen = [of(&programs), of_split("test"), scenes(&GRAPHS)].concat();
-    add("Table II, test split", &["table2", "--setups", "--restarts", "100"], unseen.clone());
-    for items in &both {
-        for (scene, programs) in WORKPLACES {
-            let programs = programs.iter().flat_map(|name| of(name)).collect();
-            let line = ["table2", "--items", items, "--restarts", "200", "--scene", scene, "--room-time", "25"];
-            add(&format!("Table II, other places: {scene}: {items}"), &line, programs);
+    add("Table II, seen activities".to_owned(), "table2 --setups".to_owned());
+    let unseen = format!("--program {}{scenes}", of_split("test"));
+    add("Table II, test split".to_owned(), format!("table2 --setups --restarts 100 {unseen}"));
+    let ward = ["w0-medication-round", "w1-cleaning-and-fresh-beds", "w2-patients-morning"];
+    let warehouse = ["g0-receiving-a-delivery", "g1-picking-and-packing", "g2-end-of-shift"];
+    let days: Vec<String> = ["HouseholdA", "HouseholdB"]
+        .iter()
+        .flat_map(|home| (0..3).map(move |day| format!("SHARED/homer_plus/{home}/scripts_test/00{day}.txt")))
+        .collect();
+    let days: Vec<&str> = days.iter().map(String::as_str).collect();
+    for items in both {
+        for (place, how, programs) in [
+            ("ward", " --scene ward --room-time 25", &ward[..]),
+            ("warehouse", " --scene warehouse --room-time 25", &warehouse[..]),
+            ("HOMER+ households", " --room-time 300 --room-time 900", &days[..]),
+        ] {
+            let command = format!("table2 --items {items} --restarts 200{how}{}", each("program", programs));
+            add(format!("Table II, other places: {place}: {items}"), command);
         }
-        let days = ["HouseholdA", "HouseholdB"].into_iter().flat_map(|home| DAYS.map(|day| (home, day)));
-        let days =
-            days.flat_map(|(home, day)| of(&shared(&format!("homer_plus/{home}/scripts_test/{day}.txt")))).collect();
-        let line = ["table2", "--items", items, "--restarts", "200", "--room-time", "300", "--room-time", "900"];
-        add(&format!("Table II, other places: HOMER+ households: {items}"), &line, days);
     }
-    add("Table I", &["table1"], Vec::new());
-    add("Table I, in the paper's set-up", &["table1"], OF_THE_PAPER.map(str::to_owned).to_vec());
-    let weights =
-        |weights: &[&str]| weights.iter().flat_map(|weight| ["--weight".to_owned(), (*weight).to_owned()]).collect();
-    let tried: Vec<String> = weights(&["0", "5", "10", "20", "30", "42", "60", "1000"]);
-    for items in &both {
-        let line = ["pareto", "--restarts", "40", "--items", items, "--longest-act", "10"];
-        let asked = [of(&programs), of_split("calibration"), scenes(&CALIBRATION_GRAPHS), tried.clone()].concat();
-        add(&format!("Disturbance against coverage, calibration split: {items}"), &line, asked);
+    add("Table I".to_owned(), "table1".to_owned());
+    // In the paper, a person takes any thing of a kind, and the window is the whole narration.
+    add("Table I, in the paper's set-up".to_owned(), "table1 --items uniform --history 1000".to_owned());
+    let tried = each("weight", &["0", "5", "10", "20", "30", "42", "60", "1000"]);
+    let pareto =
+        |items: &str, longest_act: &str| format!("pareto --restarts 40 --items {items} --longest-act {longest_act}");
+    for items in both {
+        let asked = format!("--program {}{calibration_scenes}{tried}", of_split("calibration"));
+        let title = format!("Disturbance against coverage, calibration split: {items}");
+        add(title, format!("{} {asked}", pareto(items, "10")));
     }
     for longest_act in ["10", "60"] {
-        for items in &both {
-            let line = ["pareto", "--restarts", "40", "--items", items, "--longest-act", longest_act];
+        for items in both {
             let title = format!("Disturbance against coverage, test split: {items}, acts up to {longest_act} s");
-            let curves = args
-                .out
-                .as_ref()
-                .map_or_else(Vec::new, |out| vec!["--out".to_owned(), path(out, &format!("{items}-{longest_act}"))]);
-            add(&title, &line, [unseen.clone(), tried.clone(), curves].concat());
+            let curves = args.out.as_ref().map_or_else(String::new, |_| format!(" --out OUT/{items}-{longest_act}"));
+            add(title, format!("{} {unseen}{tried}{curves}", pareto(items, longest_act)));
         }
     }
     tables
@@ -149,7 +143,7 @@ fn parsed((title, command): &Table) -> Result<Args, Failure> {
     let line = ["roomcast-lab".to_owned()].into_iter().chain(command.clone()).chain(["--markdown".to_owned()]);
     let parsed = Args::try_parse_from(line);
     // Only a title or a given folder can make these arguments wrong.
-    parsed.map_err(|error| Failure::new(exit_code::FAILURE, format!("{title}: {error}")))
+    parsed.map_err(|error| Failure::failed(format!("{title}: {error}")))
 }
 
 pub(super) fn run(args: &CardArgs) -> CommandResult {
@@ -158,10 +152,7 @@ pub(super) fn run(args: &CardArgs) -> CommandResult {
         let titles = tables.iter().map(|(title, _)| format!("\n  {title}")).collect::<String>();
         tables.retain(|(title, _)| title.contains(only));
         if tables.is_empty() {
-            return Err(Failure::new(
-                exit_code::USAGE,
-                format!("no table's title has {only:?} in it: there are{titles}"),
-            ));
+            return Err(Failure::usage(format!("no table's title has {only:?} in it: there are{titles}")));
         }
     }
     // Parse all commands first: a whole run takes an hour.

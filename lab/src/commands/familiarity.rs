@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use super::{Manifest, ModelArgs, maps, report_faults};
-use roomcast_cli::{CommandResult, Failure, exit_code, print};
-use roomcast_lab::experiment::familiarity::{self, Case, Losses, Replaced};
-use roomcast_lab::experiment::prediction;
+use super::{Manifest, ModelArgs, maps};
+use crate::experiment::familiarity::{self, Case, Losses, Replaced};
+use crate::experiment::prediction;
+use roomcast_cli::{CommandResult, Failure, print};
 
 #[derive(Debug, clap::Args)]
 pub(super) struct FamiliarityArgs {
@@ -47,14 +47,10 @@ fn row(name: &str, cases: &[Case]) -> String {
 }
 
 pub(super) fn run(args: &FamiliarityArgs) -> CommandResult {
-    let (programs, faults) = prediction::load_programs(&args.programs)?;
-    report_faults(&faults);
+    let programs = prediction::load_programs(&args.programs)?;
     let manifest = Manifest::read(&args.manifest)?;
     let sets = std::fs::read_to_string(&args.texts).map_err(|error| {
-        Failure::new(
-            exit_code::INPUT,
-            format!("{}: {error}; give a file of sentences with --texts", args.texts.display()),
-        )
+        Failure::input(format!("{}: {error}; give a file of sentences with --texts", args.texts.display()))
     })?;
     let head = |first: &str| {
         format!(

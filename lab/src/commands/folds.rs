@@ -5,44 +5,15 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde_json::{Value, json};
 
-use super::{
-    BINDINGS, Manifest, ModelArgs, SEALED, TRAINED, distinct, fitted, forecast_markdown, forecast_text, maps,
-    report_faults,
-};
-use roomcast_cli::choice::choice;
-use roomcast_cli::exit_code;
-use roomcast_cli::{CommandResult, Failure, count, print, print_json};
-use roomcast_core::forecast::ForecastOptions;
+use super::{Asked, Manifest, ModelArgs, SEALED, TRAINED, fitted, in_file, maps, read};
+use crate::experiment::baselines::Statistics;
+use crate::experiment::prediction::{self, NamedProgram, Part, Report};
+use roomcast_cli::{CommandResult, Failure, count};
 use roomcast_core::grounding::Grounding;
-use roomcast_core::prompt::BindingSequence;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_lab::experiment::baselines::Statistics;
-use roomcast_lab::experiment::prediction::{self, NamedProgram, Part, Report};
-use roomcast_lab::experiment::{ExperimentError, Progress};
 use roomcast_llama::LlamaModel;
 use roomcast_services::state_file;
 use roomcast_simulation::ScoreSource;
-use roomcast_simulation::binding::ItemChoice;
-
-/// Arguments of both commands.
-#[derive(Debug, clap::Args)]
-struct Asked {
-    /// The folder of activity programs that the models were trained on in part.
-    #[arg(long, value_name = "DIR")]
-    programs: PathBuf,
-    /// A scene file, the name of a shipped scene, or a VirtualHome graph (*_graph.json); may be repeated.
-    #[arg(long, value_name = "FILE", required = true)]
-    scene: Vec<PathBuf>,
-    /// The choice among a label's items for an object of a program; may be repeated.
-    #[arg(long, value_parser = choice::<ItemChoice>(), default_values_t = BINDINGS)]
-    items: Vec<ItemChoice>,
-    /// Print one JSON object.
-    #[arg(long)]
-    json: bool,
-    /// Print this experiment's tables in Markdown, as the model card has them.
-    #[arg(long, conflicts_with = "json")]
-    markdown: bool,
-}
 
 /// Arguments of `roomcast-lab folds`. It uses only the models that were trained for it.
 #[derive(Debug, clap::Args)]
@@ -90,9 +61,7 @@ impl Trained {
     fn read(folder: &Path) -> Result<Self, Failure> {
         let manifest = Manifest::read(&folder.join("manifest.json"))?;
         let path = folder.join("household-statistics.json");
-        let failed = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", path.display()));
-        let text = std::fs::read_to_string(&path).map_err(|e| failed(e.to_string()))?;
-        let statistics = Statistics::from_json(&text).map_err(|e| failed(e.to_string()))?;
+        let statistics = Statistics::from_json(&read(&path)?).map_err(|error| in_file(&path, error))?;
         Ok(Self { folder: folder.to_owned(), manifest, statistics })
     }
 
@@ -100,7 +69,7 @@ impl Trained {
         self.folder.join("household.gguf")
     }
 
-    fn source(&self, model: &ModelArgs, grounding: &Grounding) -> Result<ScoreSource<LlamaModel>, ExperimentError> {
+    fn source(&self, model: &ModelArgs, grounding: &Grounding) -> Result<ScoreSource<LlamaModel>, Failure> {
         ModelArgs { model: Some(self.model()), ..model.clone() }.source(grounding)
     }
 
@@ -119,56 +88,21 @@ impl Trained {
     }
 }
 
-impl Asked {
-    fn load(&self) -> Result<Vec<NamedProgram>, Failure> {
-        let (programs, faults) = prediction::load_programs(&self.programs)?;
-        report_faults(&faults);
-        Ok(programs)
-    }
-
-    fn print(&self, reports: &[Report]) -> CommandResult {
-        if self.json {
-            return print_json(&reports);
-        }
-        let text = if self.markdown { forecast_markdown } else { forecast_text };
-        print(&reports.iter().map(text).collect::<Vec<_>>().join("\n"))
-    }
-
-    fn measure(
-        &self,
-        trained: &[Trained],
-        parts: &[Part],
-        scenes: &[PathBuf],
-        model: &ModelArgs,
-    ) -> Result<Report, Failure> {
-        self.measure_in(trained, parts, &maps(scenes)?, model)
-    }
-
-    fn measure_in(
-        &self,
-        trained: &[Trained],
-        parts: &[Part],
-        maps: &[(SemanticMap, Grounding)],
-        model: &ModelArgs,
-    ) -> Result<Report, Failure> {
-        let options = prediction::Options {
-            history: model.limits(),
-            binding: BindingSequence::default(),
-            items: distinct(&self.items),
-            forecast: ForecastOptions::default(),
-            seed: model.seed,
-        };
-        let programs: usize = parts.iter().map(|part| part.programs.len()).sum();
-        let progress = Progress::new("programs", programs * maps.len() * options.items.len());
-        let open = |part: usize, grounding: &Grounding| trained[part].source(model, grounding);
-        Ok(prediction::run(maps, parts, &options, &progress, open)?)
-    }
+fn measure(
+    asked: &Asked,
+    trained: &[Trained],
+    parts: &[Part],
+    maps: &[(SemanticMap, Grounding)],
+    model: &ModelArgs,
+) -> Result<Report, Failure> {
+    let open = |part: usize, grounding: &Grounding| trained[part].source(model, grounding);
+    asked.measure(maps, parts, model, Default::default(), open)
 }
 
 /// The folds give the models.
 fn refuse_model(model: &ModelArgs, instead: &str) -> CommandResult {
     match model.model {
-        Some(_) => Err(Failure::new(exit_code::USAGE, format!("--model has no effect here: give {instead}"))),
+        Some(_) => Err(Failure::usage(format!("--model has no effect here: give {instead}"))),
         None => Ok(()),
     }
 }
@@ -182,9 +116,9 @@ pub(super) fn run_folds(args: &FoldsArgs) -> CommandResult {
         let fault = format!(
             "{folds}: {found}, and it takes two at least: `python training/run.py --shared DATA --folds {folds}` trains them"
         );
-        return Err(Failure::new(exit_code::INPUT, fault));
+        return Err(Failure::input(fault));
     }
-    let programs = args.asked.load()?;
+    let programs = prediction::load_programs(&args.asked.programs)?;
     let trained = folders.iter().map(|folder| Trained::read(folder)).collect::<Result<Vec<_>, _>>()?;
     let parts = trained.iter().map(|fold| fold.part(&programs, "test")).collect::<Result<Vec<_>, _>>()?;
     let mut seen = std::collections::HashSet::new();
@@ -193,13 +127,12 @@ pub(super) fn run_folds(args: &FoldsArgs) -> CommandResult {
             return Err(fold.manifest.failed(format!("{} is held out by two folds", twice.path.display())));
         }
     }
-    let report = args.asked.measure(&trained, &parts, &args.asked.scene, &args.model)?;
+    let report = measure(&args.asked, &trained, &parts, &maps(&args.asked.scene)?, &args.model)?;
     args.asked.print(&[report])
 }
 
 fn folders(folder: &Path, file: &str) -> Result<Vec<PathBuf>, Failure> {
-    let failed = |error: std::io::Error| Failure::new(exit_code::INPUT, format!("{}: {error}", folder.display()));
-    let entries = std::fs::read_dir(folder).map_err(failed)?;
+    let entries = std::fs::read_dir(folder).map_err(|error| in_file(folder, error))?;
     let mut found: Vec<PathBuf> =
         entries.filter_map(|entry| Some(entry.ok()?.path())).filter(|path| path.join(file).is_file()).collect();
     found.sort();
@@ -212,22 +145,21 @@ const ONLY_SEALED: &str = " --fold sealed";
 pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
     refuse_model(&args.model, "--trained")?;
     let record = &args.record;
-    let failed = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", record.display()));
+    let failed = |error: &dyn std::fmt::Display| in_file(record, error);
     let entries: Vec<Value> = match std::fs::read_to_string(record) {
-        Ok(text) => serde_json::from_str(&text).map_err(|e| failed(e.to_string()))?,
+        Ok(text) => serde_json::from_str(&text).map_err(|error| failed(&error))?,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
-        Err(error) => return Err(failed(error.to_string())),
+        Err(error) => return Err(failed(&error)),
     };
     if !entries.is_empty() {
         return Err(failed(
-            "the sealed split was opened already; what was found is in this file, and it is not opened twice".into(),
+            &"the sealed split was opened already; what was found is in this file, and it is not opened twice",
         ));
     }
     let write = |entries: &[Value]| {
-        let text = serde_json::to_string(entries).map_err(|e| failed(e.to_string()))?;
-        let no_record =
-            |error| failed(format!("what is found cannot be written down: {error}; name a file with --record"));
-        state_file::write_out(record, (text + "\n").as_bytes()).map_err(no_record)
+        state_file::write_out(record, format!("{}\n", json!(entries)).as_bytes()).map_err(|error| {
+            failed(&format_args!("what is found cannot be written down: {error}; name a file with --record"))
+        })
     };
     // Write before the split is read, since the result will be recorded in this file.
     write(&entries)?;
@@ -240,19 +172,18 @@ pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
         return Err(trained[0].manifest.failed(fault));
     }
     // Everything that may fail comes before the split is opened.
-    let part = trained[0].part(&args.asked.load()?, SEALED)?;
+    let part = trained[0].part(&prediction::load_programs(&args.asked.programs)?, SEALED)?;
     let mut opened = vec![(maps(&args.asked.scene)?, part.clone())];
     let statistics = fitted(&part.trained, &args.fit, &part.statistics)?;
     for place in folders(&args.places, "map.json")? {
-        let (programs, faults) = prediction::load_programs(&place.join("programs"))?;
-        report_faults(&faults);
+        let programs = prediction::load_programs(&place.join("programs"))?;
         let part = Part { programs, statistics: statistics.clone(), ..part.clone() };
         opened.push((maps(&[place.join("map.json")])?, part));
     }
     for (_, grounding) in opened.iter().flat_map(|(maps, _)| maps) {
         trained[0].source(&args.model, grounding)?;
     }
-    let sha256 = roomcast_llama::file_sha256(&trained[0].model()).map_err(|e| failed(e.to_string()))?;
+    let sha256 = roomcast_llama::file_sha256(&trained[0].model()).map_err(|error| failed(&error))?;
     let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     let model = json!({ "sha256": hex::encode(sha256), "trained_by": trained[0].manifest.command });
     let entry = |reports: &[Report]| json!({ "opened_unix_s": now_s, "model": model, "reports": reports });
@@ -260,7 +191,7 @@ pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
     write(&[entry(&[])])?;
     let reports = opened
         .iter()
-        .map(|(maps, part)| args.asked.measure_in(&trained, std::slice::from_ref(part), maps, &args.model))
+        .map(|(maps, part)| measure(&args.asked, &trained, std::slice::from_ref(part), maps, &args.model))
         .collect::<Result<Vec<_>, _>>()?;
     // Record the result before it is shown.
     write(&[entry(&reports)])?;

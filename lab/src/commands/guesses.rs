@@ -2,13 +2,12 @@
 
 use std::path::PathBuf;
 
-use super::{Manifest, ModelArgs, maps, report_faults};
-use roomcast_cli::exit_code;
+use super::{Manifest, ModelArgs, SplitArgs, maps};
+use crate::experiment::guesses::{self, Hits, Report};
+use crate::experiment::{Progress, prediction};
 use roomcast_cli::{CommandResult, Failure, print, print_json};
 use roomcast_core::guess::Counts;
 use roomcast_core::prompt::BindingSequence;
-use roomcast_lab::experiment::guesses::{self, Hits, Report};
-use roomcast_lab::experiment::{Progress, prediction};
 
 #[derive(Debug, clap::Args)]
 pub(super) struct GuessesArgs {
@@ -18,12 +17,8 @@ pub(super) struct GuessesArgs {
     /// A scene file, the name of a shipped scene, or a VirtualHome graph (*_graph.json).
     #[arg(long, value_name = "FILE", default_value = "apartment-e0")]
     scene: PathBuf,
-    /// Take only the programs of a split that a training manifest lists, such as models/manifest.json.
-    #[arg(long, value_name = "FILE")]
-    manifest: Option<PathBuf>,
-    /// Which split of the manifest.
-    #[arg(long, value_name = "NAME", default_value = "test", requires = "manifest")]
-    split: String,
+    #[command(flatten)]
+    split: SplitArgs,
     /// The binding sequence: default, p0 to p5, or a text of your own.
     #[arg(long, value_name = "TEXT", default_value = "default")]
     binding: BindingSequence,
@@ -38,16 +33,15 @@ pub(super) struct GuessesArgs {
 const K: [usize; 4] = [8, 16, 32, 64];
 
 pub(super) fn run(args: &GuessesArgs) -> CommandResult {
-    let (programs, faults) = prediction::load_programs(&args.programs)?;
-    report_faults(&faults);
-    let programs = match &args.manifest {
-        Some(manifest) => Manifest::read(manifest)?.split(programs, &args.split)?,
+    let programs = prediction::load_programs(&args.programs)?;
+    let programs = match &args.split.manifest {
+        Some(manifest) => Manifest::read(manifest)?.split(programs, &args.split.split)?,
         None => programs,
     };
     let maps = maps(std::slice::from_ref(&args.scene))?;
     let Some((map, grounding)) = maps.first() else { return Ok(()) };
     let counts = Counts::from_json(roomcast_services::embedded::FORMS);
-    let counts = counts.map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    let counts = counts.map_err(Failure::failed)?;
     let mut source = args.model.source(grounding)?;
     let progress = Progress::new("programs", programs.len());
     let told = (programs.as_slice(), &counts);

@@ -3,9 +3,17 @@
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use super::{LikeThingsArgs, ModelArgs, maps, report_first_faults};
+use super::{LikeThingsArgs, ModelArgs, embedded_statistics, in_file, maps, report_first_faults};
+use crate::experiment::chart::{Chart, Mark, Series};
+use crate::experiment::habits::cleaning::{self, Less};
+use crate::experiment::habits::{
+    self, ALL, Days, Difference, HALF, Options, PREDICTORS, Report, Row, Sets, TARGETS, UNSEEN,
+};
+use crate::experiment::losses::{Figure, shown};
+use crate::experiment::report::{Column, Report as Page, Table};
+use crate::experiment::{Progress, distinct};
 use roomcast_cli::choice::choice;
-use roomcast_cli::{CommandResult, Failure, count, exit_code, print, print_json, ranges, table, tell_unfit};
+use roomcast_cli::{CommandResult, Failure, count, print, print_json, ranges, tell_unfit};
 use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::{HabitsOptions, Without};
 use roomcast_core::narration::Event;
@@ -13,11 +21,6 @@ use roomcast_core::places::PlaceMatcher;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::raw::narration_kind;
-use roomcast_lab::experiment::Progress;
-use roomcast_lab::experiment::baselines::Statistics;
-use roomcast_lab::experiment::chart::{Chart, Mark, Series};
-use roomcast_lab::experiment::habits::{self, ALL, Days, HALF, Options, PREDICTORS, Report, TARGETS, UNSEEN};
-use roomcast_lab::experiment::report::{Report as Page, Table};
 use roomcast_services::message_text::event_of;
 use roomcast_services::narrator::{Item, Who};
 use roomcast_services::sensor_log::{Absences, Said as Narrated, SensorRules, absences};
@@ -71,18 +74,17 @@ pub(super) struct HabitsArgs {
 
 pub(super) fn run(args: &HabitsArgs) -> CommandResult {
     let (map, grounding) = maps(std::slice::from_ref(&args.scene))?.remove(0);
-    let statistics = Statistics::from_json(roomcast_services::embedded::STATISTICS)
-        .map_err(|e| Failure::new(exit_code::FAILURE, e))?;
+    let statistics = embedded_statistics()?;
     let trace = match (&args.days, &args.sensors, &args.rules) {
         (Some(folder), ..) => of_days(&roomcast_cli::days::read(folder)?, &map, &grounding, args)?,
         (None, Some(log), Some(rules)) => sensors(log, rules, args.presence.as_deref(), &map, &grounding)?,
-        _ => return Err(Failure::new(exit_code::USAGE, "give --days, or --sensors with --rules")),
+        _ => return Err(Failure::usage("give --days, or --sensors with --rules")),
     };
     // An unwritable folder is reported before the work.
     if let Some(folder) = &args.out {
         std::fs::create_dir_all(folder).map_err(|error| {
             let text = format!("failed to make {}: {error}; choose another folder with --out", folder.display());
-            Failure::new(exit_code::FAILURE, text)
+            Failure::failed(text)
         })?;
     }
     let mut source = args.model.source(&grounding)?;
@@ -99,16 +101,13 @@ pub(super) fn run(args: &HabitsArgs) -> CommandResult {
     drop(progress);
     if report.rows.is_empty() {
         let text = "nothing could be measured: no thing is followed by another, and no place is known for a minute and the one after it; give a longer log";
-        return Err(Failure::new(exit_code::INPUT, text));
+        return Err(Failure::input(text));
     }
+    let page = page(&report, map.name());
     if let Some(folder) = &args.out {
-        page(&report, map.name()).write(folder).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
-        roomcast_cli::tell(format_args!("roomcast: wrote {}", folder.join("report.html").display()));
+        page.write(folder)?;
     }
-    if args.json {
-        return print_json(&report);
-    }
-    show(&report)
+    if args.json { print_json(&report) } else { print(&page.text()) }
 }
 
 fn of_days(days: &[Day], map: &SemanticMap, grounding: &Grounding, args: &HabitsArgs) -> Result<Trace, Failure> {
@@ -124,8 +123,7 @@ fn of_days(days: &[Day], map: &SemanticMap, grounding: &Grounding, args: &Habits
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, Failure> {
-    std::fs::read(path)
-        .map_err(|error| Failure::new(exit_code::INPUT, format!("failed to read {}: {error}", path.display())))
+    std::fs::read(path).map_err(|error| Failure::input(format!("failed to read {}: {error}", path.display())))
 }
 
 /// Reports words without a place in the scene, and their counts, the most frequent first.
@@ -149,9 +147,8 @@ fn sensors(
     map: &SemanticMap,
     grounding: &Grounding,
 ) -> Result<Trace, Failure> {
-    let fault = |path: &Path, error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", path.display()));
-    let rules = SensorRules::load(rules).map_err(|error| Failure::new(exit_code::INPUT, error))?;
-    let narrated = rules.narrate_file(log, &Who::Somebody).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    let rules = SensorRules::load(rules).map_err(Failure::input)?;
+    let narrated = rules.narrate_file(log, &Who::Somebody).map_err(Failure::input)?;
     report_first_faults(narrated.faults.told(), narrated.faults.count());
     tell_unfit(&narrated);
     let partition = |room: u32| grounding.partitions().iter().position(|p| p.rooms.iter().any(|id| id.0 == room));
@@ -159,7 +156,7 @@ fn sensors(
     let read_intervals = rules.intervals(&read(log)?);
     if read_intervals.is_empty() {
         let fault_text = "it has no interval that can be read; docs/sensors.md shows what they look like";
-        return Err(fault(log, fault_text.to_owned()));
+        return Err(in_file(log, fault_text));
     }
     let mut unknown = BTreeMap::new();
     // A sensor without a place has no unknown place.
@@ -173,7 +170,7 @@ fn sensors(
     if intervals.iter().all(|interval| interval.room.is_none()) {
         let fault_text =
             "no interval is in a room of the scene: name the column of places in the rules, and the rooms in the scene";
-        return Err(fault(log, fault_text.to_owned()));
+        return Err(in_file(log, fault_text));
     }
     let mut mentions = PlaceMatcher::new(map, grounding);
     let weights = grounding.weights();
@@ -191,7 +188,7 @@ fn sensors(
         roomcast_cli::tell(format_args!("roomcast: {remark}"));
     }
     let away = match presence {
-        Some(path) => absences(&read(path)?).map_err(|error| fault(path, error))?,
+        Some(path) => absences(&read(path)?).map_err(|error| in_file(path, error))?,
         None => Absences::default(),
     };
     tell_absences(&away);
@@ -247,7 +244,7 @@ fn reduced(given: &[String]) -> Result<Vec<(String, Without)>, Failure> {
         for name in names.split(',') {
             without = without.and(name).ok_or_else(|| {
                 let all = Without::names().collect::<Vec<_>>().join(", ");
-                Failure::new(exit_code::USAGE, format!("the mixture has no part {name:?}; its parts are {all}"))
+                Failure::usage(format!("the mixture has no part {name:?}; its parts are {all}"))
             })?;
         }
         Ok((format!("-{names}"), without))
@@ -257,118 +254,74 @@ fn reduced(given: &[String]) -> Result<Vec<(String, Without)>, Failure> {
 
 /// The change of each target in nats when a part is left out, with intervals by day.
 fn ablation(report: &Report) -> Table {
-    let header: Vec<_> = ["without"].into_iter().chain(TARGETS).collect();
-    let mut table = Table::new("ablation", "Loss without a part, less that of the whole mixture (nats)", &header);
     let all = || report.differences.iter().filter(|d| d.day == ALL && d.less.starts_with('-'));
-    let mut names: Vec<&str> = Vec::new();
-    all().for_each(|d| {
-        if !names.contains(&d.less.as_str()) {
-            names.push(&d.less)
-        }
-    });
-    for name in names {
-        let cell = |target: &str| match all().find(|d| d.less == name && d.target == target) {
-            Some(d) => format!("{:.4} [{:.4}, {:.4}]", -d.nll_nats, -d.nll_ci95[1], -d.nll_ci95[0]),
-            None => String::new(),
-        };
-        table.rows.push([name[1..].to_owned()].into_iter().chain(TARGETS.map(cell)).collect());
-    }
+    let cell = |name: &str, target: &str| match all().find(|d| d.less == name && d.target == target) {
+        Some(d) => shown((-d.nll_nats, Some([-d.nll_ci95[1], -d.nll_ci95[0]])), 4),
+        None => String::new(),
+    };
+    let header = std::iter::once("without").chain(TARGETS);
+    let mut table = Table::new("ablation", "Loss without a part, less that of the whole mixture (nats)", header);
+    let row = |name: &str| {
+        let cells = TARGETS.map(|target| cell(name, target));
+        std::iter::once(name[1..].to_owned()).chain(cells).collect()
+    };
+    table.rows = distinct(all().map(|d| d.less.as_str())).into_iter().map(row).collect();
     table
 }
 
-fn called(day: Days) -> String {
-    match day {
-        Days::One(day) => day.to_string(),
-        Days::Some(name) => name.to_owned(),
-    }
-}
-
 fn tables(report: &Report) -> Vec<Table> {
-    let header = [
-        "days",
-        "target",
-        "predictor",
-        "cases",
-        "nll (nats)",
-        "top-1",
-        "mrr",
-        "brier",
-        "ece",
-        "mixture less this (nats)",
+    let less = |row: &Row| {
+        let own = |d: &&Difference| (d.day, d.target, &d.less) == (row.day, row.target, &row.predictor);
+        report.differences.iter().find(own)
+    };
+    let is_whole = |row: &&Row| !row.predictor.starts_with('-');
+    let stretch = |day| report.rows.iter().filter(is_whole).filter(move |row| row.day == day);
+    let columns: [Column<'_, Row>; 10] = [
+        ("days", &|row| match row.day {
+            Days::One(day) => day.to_string(),
+            Days::Some(name) => name.to_owned(),
+        }),
+        ("target", &|row| row.target.to_owned()),
+        ("predictor", &|row| row.predictor.clone()),
+        ("cases", &|row| row.n.to_string()),
+        ("nll (nats)", &|row| shown((row.nll_nats, row.ci95.map(|ci95| ci95.nll_nats)), 3)),
+        ("top-1", &|row| shown((row.top1, row.ci95.map(|ci95| ci95.top1)), 3)),
+        ("mrr", &|row| format!("{:.3}", row.mrr)),
+        ("brier", &|row| format!("{:.3}", row.brier)),
+        ("ece", &|row| format!("{:.3}", row.ece)),
+        ("mixture less this (nats)", &|row| {
+            less(row).map_or_else(String::new, |less| shown((less.nll_nats, Some(less.nll_ci95)), 3))
+        }),
     ];
-    let mut all = Table::new("habits", "All days, and the second half of them", &header);
-    let with = |value: f64, [low, high]: [f64; 2]| format!("{value:.3} [{low:.3}, {high:.3}]");
-    for day in [ALL, HALF, UNSEEN] {
-        for row in report.rows.iter().filter(|row| row.day == day && !row.predictor.starts_with('-')) {
-            let less =
-                report.differences.iter().find(|d| d.day == day && d.target == row.target && d.less == row.predictor);
-            all.rows.push(vec![
-                called(day),
-                row.target.to_owned(),
-                row.predictor.clone(),
-                row.n.to_string(),
-                row.ci95.map_or_else(|| format!("{:.3}", row.nll_nats), |ci95| with(row.nll_nats, ci95.nll_nats)),
-                row.ci95.map_or_else(|| format!("{:.3}", row.top1), |ci95| with(row.top1, ci95.top1)),
-                format!("{:.3}", row.mrr),
-                format!("{:.3}", row.brier),
-                format!("{:.3}", row.ece),
-                less.map_or_else(String::new, |less| with(less.nll_nats, less.nll_ci95)),
-            ]);
-        }
-    }
-    let header = [
-        "horizon (s)",
-        "asked",
-        "held",
-        "places",
-        "places, shipped forecast",
-        "held, never empty",
-        "places, never empty",
+    let rows = [ALL, HALF, UNSEEN].into_iter().flat_map(stretch);
+    let all = Table::of("habits", "All days, and the second half of them", rows, &columns);
+    let columns: [Column<'_, Sets>; 7] = [
+        ("horizon (s)", &|row| format!("{:.0}", row.horizon_s)),
+        ("asked", &|row| format!("{:.2}", row.coverage_asked)),
+        ("held", &|row| format!("{:.3}", row.coverage)),
+        ("places", &|row| format!("{:.2}", row.size_mean)),
+        ("places, shipped forecast", &|row| format!("{:.2}", row.size_mean_shipped)),
+        ("held, never empty", &|row| format!("{:.3}", row.coverage_never_empty)),
+        ("places, never empty", &|row| format!("{:.2}", row.size_mean_never_empty)),
     ];
-    let mut sets = Table::new("sets", "Sets of places with a promise", &header);
-    for row in &report.sets {
-        sets.rows.push(vec![
-            format!("{:.0}", row.horizon_s),
-            format!("{:.2}", row.coverage_asked),
-            format!("{:.3}", row.coverage),
-            format!("{:.2}", row.size_mean),
-            format!("{:.2}", row.size_mean_shipped),
-            format!("{:.3}", row.coverage_never_empty),
-            format!("{:.2}", row.size_mean_never_empty),
-        ]);
-    }
-    let mut tables = vec![all, sets, cleaning(report)];
-    let ablation = ablation(report);
-    if !ablation.rows.is_empty() {
-        tables.push(ablation);
-    }
-    tables
+    let sets = Table::of("sets", "Sets of places with a promise", &report.sets, &columns);
+    let tables = [all, sets, cleaning(report), ablation(report)].into_iter();
+    tables.filter(|table| table.name != "ablation" || !table.rows.is_empty()).collect()
 }
 
 fn cleaning(report: &Report) -> Table {
-    let header = ["forecast", "policy", "disturbance (s/h)", "less", "coverage", "less"];
+    let less =
+        |row: &cleaning::Row, of: fn(Less) -> Figure| row.less.map(|less| shown(of(less), 3)).unwrap_or_default();
+    let columns: [Column<'_, cleaning::Row>; 6] = [
+        ("forecast", &|row| row.predictor.to_owned()),
+        ("policy", &|row| row.policy.to_owned()),
+        ("disturbance (s/h)", &|row| format!("{:.1}", row.disturbance_s_per_h)),
+        ("less", &|row| less(row, |less| (less.disturbance_s_per_h, less.disturbance_ci95))),
+        ("coverage", &|row| format!("{:.3}", row.coverage)),
+        ("less", &|row| less(row, |less| (less.coverage, less.coverage_ci95))),
+    ];
     let title = "Rounds of a robot, planned against the forecast without habits (model) and with them (mixture)";
-    let mut cleaning = Table::new("cleaning", title, &header);
-    let with = |value: f64, interval: Option<[f64; 2]>| match interval {
-        None => format!("{value:.3}"),
-        Some([low, high]) => format!("{value:.3} [{low:.3}, {high:.3}]"),
-    };
-    for row in &report.cleaning {
-        let less = row.less.map(|less| {
-            let disturbance = with(less.disturbance_s_per_h, less.disturbance_ci95);
-            (disturbance, with(less.coverage, less.coverage_ci95))
-        });
-        let (disturbance, coverage) = less.unwrap_or_default();
-        cleaning.rows.push(vec![
-            row.predictor.to_owned(),
-            row.policy.to_owned(),
-            format!("{:.1}", row.disturbance_s_per_h),
-            disturbance,
-            format!("{:.3}", row.coverage),
-            coverage,
-        ]);
-    }
-    cleaning
+    Table::of("cleaning", title, &report.cleaning, &columns)
 }
 
 fn curve(report: &Report, target: &str) -> Chart {
@@ -409,19 +362,6 @@ fn notes(report: &Report) -> String {
         count(learned.names, "thing"),
         learned.bytes,
     )
-}
-
-fn show(report: &Report) -> CommandResult {
-    let mut text = String::new();
-    for part in tables(report) {
-        let header: Vec<&str> = part.header.iter().map(String::as_str).collect();
-        let mut shown = table(&header);
-        part.rows.iter().for_each(|row| {
-            shown.add_row(row);
-        });
-        text += &format!("\n{}\n{shown}\n", part.title);
-    }
-    print(&format!("{text}\n{}\n", notes(report)))
 }
 
 #[cfg(test)]

@@ -6,15 +6,15 @@ use std::sync::Arc;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use strum::VariantNames;
 
-use super::{maps, report_faults};
-use roomcast_cli::exit_code;
-use roomcast_cli::{CommandResult, Failure, print, print_json, ranges, table};
-use roomcast_core::tracker::{Options, TrackerError};
-use roomcast_lab::experiment::persons::{self, Method, Row, Setup, ahead};
-use roomcast_lab::experiment::{Progress, prediction};
-use roomcast_lab::home_simulation::days::VISITS;
-use roomcast_lab::home_simulation::plan::Device;
-use roomcast_lab::home_simulation::recorded::Recorded;
+use super::maps;
+use crate::experiment::persons::{self, Method, Row, Setup, ahead};
+use crate::experiment::report::{Column, Table};
+use crate::experiment::{Progress, prediction};
+use crate::home_simulation::days::VISITS;
+use crate::home_simulation::plan::Device;
+use crate::home_simulation::recorded::Recorded;
+use roomcast_cli::{CommandResult, Failure, print, print_json, ranges};
+use roomcast_core::tracker::Options;
 
 /// Most residents of a simulated home.
 const RESIDENTS_MAX: usize = 4;
@@ -71,7 +71,6 @@ pub(super) struct PersonsArgs {
 }
 
 pub(super) fn run(args: &PersonsArgs) -> CommandResult {
-    let failed = |error: TrackerError| Failure::new(exit_code::INPUT, error);
     let residents: Vec<usize> = match (args.residents, args.household.len()) {
         (Some(residents), _) => vec![residents],
         (None, 0) => (1..=RESIDENTS_MAX).collect(),
@@ -83,7 +82,7 @@ pub(super) fn run(args: &PersonsArgs) -> CommandResult {
     };
     if args.exact && residents.iter().any(|residents| *residents > EXACT_MAX) {
         let fault = format!("--exact is for at most {EXACT_MAX} residents: give --residents {EXACT_MAX}");
-        return Err(Failure::new(exit_code::USAGE, fault));
+        return Err(Failure::usage(fault));
     }
     let methods = [Method::Tracker, Method::Exact, Method::Assigned, Method::LastSensor];
     let methods: Vec<Method> = methods.into_iter().filter(|own| *own != Method::Exact || args.exact).collect();
@@ -103,10 +102,10 @@ pub(super) fn run(args: &PersonsArgs) -> CommandResult {
                 recorded: recorded.clone(),
             };
             if args.ahead {
-                later.extend(ahead::run(&setup).map_err(|fault| Failure::new(exit_code::INPUT, fault.to_string()))?);
+                later.extend(ahead::run(&setup).map_err(Failure::input)?);
                 continue;
             }
-            rows.extend(persons::run(&setup, &methods, || progress.step()).map_err(failed)?);
+            rows.extend(persons::run(&setup, &methods, || progress.step()).map_err(Failure::input)?);
         }
     }
     drop(progress);
@@ -124,13 +123,12 @@ fn recorded(args: &PersonsArgs, residents: usize) -> Result<Option<Recorded>, Fa
     };
     let maps = maps(std::slice::from_ref(scene))?;
     let Some((map, grounding)) = maps.first() else { return Ok(None) };
-    let mut own = Recorded::new(map, grounding).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    let mut own = Recorded::new(map, grounding).map_err(Failure::input)?;
     for folder in &args.household {
         own.add_days(&roomcast_cli::days::read(folder)?, map, grounding);
     }
     if let Some(folder) = &args.programs {
-        let (programs, faults) = prediction::load_programs(folder)?;
-        report_faults(&faults);
+        let programs = prediction::load_programs(folder)?;
         let programs: Vec<_> = programs.into_iter().map(|named| named.program).collect();
         for resident in 0..residents {
             own.add_programs(&programs, args.days, map, grounding, args.seed.wrapping_add(resident as u64));
@@ -139,67 +137,44 @@ fn recorded(args: &PersonsArgs, residents: usize) -> Result<Option<Recorded>, Fa
     if own.residents.iter().any(Vec::is_empty) {
         let fault =
             format!("the scene `{}` has none of the things of these days: give the scene they belong to", map.name());
-        return Err(Failure::new(exit_code::INPUT, fault));
+        return Err(Failure::input(fault));
     }
     Ok(Some(own))
 }
 
 fn text_ahead(rows: &[ahead::Row]) -> String {
-    let mut table = table(&["residents", "without", "ahead, s", "method", "loss, nats", "loss of a room, nats"]);
-    for row in rows {
-        table.add_row([
-            row.residents.to_string(),
-            row.without.join(", "),
-            row.ahead_s.to_string(),
-            row.method.to_owned(),
-            format!("{:.4}", row.log_loss_nats),
-            row.occupied_nats.map_or_else(String::new, |nats| format!("{nats:.4}")),
-        ]);
-    }
-    format!("{table}\n")
+    let columns: [Column<'_, ahead::Row>; 6] = [
+        ("residents", &|row| row.residents.to_string()),
+        ("without", &|row| row.without.join(", ")),
+        ("ahead, s", &|row| row.ahead_s.to_string()),
+        ("method", &|row| row.method.to_owned()),
+        ("loss, nats", &|row| format!("{:.4}", row.log_loss_nats)),
+        ("loss of a room, nats", &|row| row.occupied_nats.map_or_else(String::new, |nats| format!("{nats:.4}"))),
+    ];
+    Table::of("", "", rows, &columns).text() + "\n"
 }
 
 fn text(rows: &[Row]) -> String {
-    let header = [
-        "residents",
-        "without",
-        "method",
-        "right %",
-        "rooms %",
-        "with 1, 2 visitors",
-        "loss, nats",
-        "calibration",
-        "wrong > .9, %",
-        "empty while in, of 10 000 min",
-        "loss at +15 min",
-        "robot beside, min/h",
-        "rooms done, %",
-        "us a report",
+    let columns: [Column<'_, Row>; 14] = [
+        ("residents", &|row| row.residents.to_string()),
+        ("without", &|row| row.without.join(", ")),
+        ("method", &|row| match row.method {
+            Method::Tracker => "tracker".to_owned(),
+            Method::Exact => "exact".to_owned(),
+            Method::Assigned => "a filter per person".to_owned(),
+            Method::LastSensor => "last sensor".to_owned(),
+        }),
+        ("right %", &|row| format!("{:.1}", 100.0 * row.right)),
+        ("rooms %", &|row| format!("{:.1}", 100.0 * row.rooms)),
+        ("with 1, 2 visitors", &|row| row.rooms_visited.map(|rooms| format!("{:.1}", 100.0 * rooms)).join(", ")),
+        ("loss, nats", &|row| format!("{:.3}", row.log_loss_nats)),
+        ("calibration", &|row| format!("{:.3}", row.calibration_error)),
+        ("wrong > .9, %", &|row| format!("{:.2}", 100.0 * row.wrong_and_sure)),
+        ("empty while in, of 10 000 min", &|row| format!("{:.1}", row.empty_while_in)),
+        ("loss at +15 min", &|row| row.forecast_nats.map_or_else(String::new, |nats| format!("{nats:.3}"))),
+        ("robot beside, min/h", &|row| format!("{:.2}", row.beside_min_per_h)),
+        ("rooms done, %", &|row| format!("{:.1}", 100.0 * row.rooms_done)),
+        ("us a report", &|row| format!("{:.0}", row.report_us)),
     ];
-    let mut table = table(&header);
-    for row in rows {
-        let method = match row.method {
-            Method::Tracker => "tracker",
-            Method::Exact => "exact",
-            Method::Assigned => "a filter per person",
-            Method::LastSensor => "last sensor",
-        };
-        table.add_row([
-            row.residents.to_string(),
-            row.without.join(", "),
-            method.to_owned(),
-            format!("{:.1}", 100.0 * row.right),
-            format!("{:.1}", 100.0 * row.rooms),
-            row.rooms_visited.map(|rooms| format!("{:.1}", 100.0 * rooms)).join(", "),
-            format!("{:.3}", row.log_loss_nats),
-            format!("{:.3}", row.calibration_error),
-            format!("{:.2}", 100.0 * row.wrong_and_sure),
-            format!("{:.1}", row.empty_while_in),
-            row.forecast_nats.map_or_else(String::new, |nats| format!("{nats:.3}")),
-            format!("{:.2}", row.beside_min_per_h),
-            format!("{:.1}", 100.0 * row.rooms_done),
-            format!("{:.0}", row.report_us),
-        ]);
-    }
-    format!("{table}\n")
+    Table::of("", "", rows, &columns).text() + "\n"
 }

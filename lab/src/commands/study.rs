@@ -5,9 +5,12 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::{LikeThingsArgs, ModelArgs, distinct, maps, report_faults};
+use crate::experiment::Progress;
+use crate::experiment::report::{Report, Table};
+use crate::experiment::setups::{self, SetupRow};
+use crate::experiment::tables::{self, DIFFERENCES, PAPER_TABLE1, PAPER_TABLE2, PaperRow};
 use roomcast_cli::choice::{choice, policy};
-use roomcast_cli::exit_code;
-use roomcast_cli::{CommandResult, Failure, count, print, print_json, ranges, table};
+use roomcast_cli::{CommandResult, Failure, count, print, print_json, ranges};
 use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::narration::Sentence;
@@ -17,10 +20,6 @@ use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::Tokenisation;
 use roomcast_core::scorer::correction::{Correction, CorrectionChoice};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_lab::experiment::Progress;
-use roomcast_lab::experiment::report::{Report, Table};
-use roomcast_lab::experiment::setups::{self, SetupRow};
-use roomcast_lab::experiment::tables::{self, DIFFERENCES, PAPER_TABLE1, PAPER_TABLE2, PaperRow};
 use roomcast_llama::LlamaModel;
 use roomcast_simulation::binding::ItemChoice;
 use roomcast_simulation::drawing;
@@ -225,7 +224,7 @@ impl StudyArgs {
             restarts: robot.map_or(default.restarts, |robot| robot.restarts),
             seed: self.model.seed,
         };
-        let given_s = robot.map_or_else(Vec::new, |robot| distinct(&robot.room_time));
+        let given_s = robot.map_or_else(Vec::new, |robot| distinct(robot.room_time.iter().copied()));
         let given_s = if given_s.is_empty() { room_times_s.to_vec() } else { given_s };
         let is_of_the_paper = is_of_the_paper
             && given_s == room_times_s
@@ -297,16 +296,13 @@ impl Setup<'_> {
             ));
         }
         if homes.is_empty() {
-            return Err(Failure::new(
-                exit_code::INPUT,
-                "no activity fits any of the scenes: give others, or a shorter --room-time",
-            ));
+            return Err(Failure::input("no activity fits any of the scenes: give others, or a shorter --room-time"));
         }
         Ok(homes)
     }
 
     fn sources(&self, model: &ModelArgs) -> Result<Vec<ScoreSource<LlamaModel>>, Failure> {
-        self.scenes.iter().map(|(_, grounding)| Ok(model.source(grounding)?)).collect()
+        self.scenes.iter().map(|(_, grounding)| model.source(grounding)).collect()
     }
 
     fn run(&self, homes: &[Home<'_>], deciders: &[Decider]) -> Result<Vec<study::Cell>, Failure> {
@@ -375,31 +371,18 @@ impl Setup<'_> {
 
     fn finish(&self, report: &Report, json: serde_json::Value) -> CommandResult {
         if let Some(folder) = &self.args.out {
-            report.write(folder).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
-            roomcast_cli::tell(format_args!("roomcast: wrote {}", folder.join("report.html").display()));
+            report.write(folder)?;
         }
         if self.args.json {
             return print_json(&json);
         }
         if self.args.markdown {
             let shown = report.tables.iter().filter(|part| !CELLS.contains(&part.name.as_str()));
-            let tables =
-                shown.map(|part| format!("{}:\n\n{}\n\n", part.title, super::markdown(&part.header, &part.rows)));
+            let tables = shown.map(|part| format!("{}:\n\n{}\n\n", part.title, part.markdown()));
             return print(&format!("{}{}\n", tables.collect::<String>(), report.notes.join("\n")));
         }
-        let tables: String =
-            report.tables.iter().map(|part| format!("\n{}\n{}\n", part.title, as_text(part))).collect();
-        print(&format!("{tables}\n{}\n", report.notes.join("\n")))
+        print(&report.text())
     }
-}
-
-fn as_text(part: &Table) -> comfy_table::Table {
-    let header: Vec<&str> = part.header.iter().map(String::as_str).collect();
-    let mut table = table(&header);
-    part.rows.iter().for_each(|row| {
-        table.add_row(row);
-    });
-    table
 }
 
 const CELLS: [&str; 3] = ["table2", "pareto-cells", "domination"];
@@ -461,7 +444,7 @@ fn refuse_binding(args: &StudyArgs, instead: &str) -> CommandResult {
     if args.binding == BindingSequence::default() {
         return Ok(());
     }
-    Err(Failure::new(exit_code::USAGE, format!("--binding has no effect here: {instead}")))
+    Err(Failure::usage(format!("--binding has no effect here: {instead}")))
 }
 
 pub(super) fn run_table1(args: &Table1Args) -> CommandResult {
@@ -502,7 +485,7 @@ pub(super) fn run_table1(args: &Table1Args) -> CommandResult {
 pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
     refuse_binding(&args.study, "give --prompt")?;
     if args.study.model.history.is_some() {
-        return Err(Failure::new(exit_code::USAGE, "--history has no effect here: give --window"));
+        return Err(Failure::usage("--history has no effect here: give --window"));
     }
     let setup = args.study.setup(Some(&args.robot), &[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
     let prompts: Vec<BindingSequence> =
@@ -510,8 +493,7 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
     let models = std::iter::once(args.study.model.model.clone()).chain(args.also_model.iter().cloned().map(Some));
     let deciders = [Decider::Policy(PolicyName::InformedAvoidance), Decider::Policy(PolicyName::CoverageAware)];
     let columns = "model, prompt, scores, window, policy, D_T mean (s), D_T std (s), t_c mean (s), F, regret (s)";
-    let columns: Vec<&str> = columns.split(", ").collect();
-    let mut table = Table::new("ablation", "Models, prompts, ways of scoring and windows", &columns);
+    let mut table = Table::new("ablation", "Models, prompts, ways of scoring and windows", columns.split(", "));
     let (mut rows, mut notes) = (Vec::new(), Vec::new());
     for model in models {
         let given: CorrectionChoice = args.study.model.correction.into();
@@ -584,7 +566,7 @@ pub(super) fn run_pareto(args: &ParetoArgs) -> CommandResult {
         Decider::Policy(PolicyName::GreedyAvoidance),
         Decider::Policy(PolicyName::UncoveredFirst),
     ];
-    deciders.extend(distinct(&args.weight).into_iter().map(Decider::CoverageAware));
+    deciders.extend(distinct(args.weight.iter().copied()).into_iter().map(Decider::CoverageAware));
     deciders.push(Decider::Clairvoyant);
     let cells = setup.run(&homes, &deciders)?;
     let table = tables::table2(&cells, setup.paper(&PAPER_TABLE2));
@@ -676,15 +658,14 @@ impl Setup<'_> {
         let sentences: Vec<Sentence> = super::prediction::sentences(half)?;
         let mut pictures = Vec::new();
         for ((map, grounding), source) in self.scenes.iter().zip(sources) {
-            let rows =
-                source.score_steps(&sentences, self.options.history, &self.args.binding).map_err(StudyError::from)?;
+            let rows = source.score_steps(&sentences, self.options.history, &self.args.binding)?;
             let Some(last) = rows.last() else { continue };
             let mut grounded = GroundedScores::default();
-            grounding.ground(last, &mut grounded).map_err(StudyError::from)?;
+            grounding.ground(last, &mut grounded)?;
             let caption = sentences.last().map_or("", Sentence::as_str);
             let items: Vec<f64> = grounding.item_log_score_nats(last).collect();
             let heat = drawing::Heat::new(&grounded.partition_probability, &items, caption);
-            let svg = drawing::svg(map, grounding, Some(&heat)).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
+            let svg = drawing::svg(map, grounding, Some(&heat)).map_err(Failure::failed)?;
             pictures.push((format!("grounding-{}", map.name()), svg));
         }
         Ok(pictures)
@@ -695,6 +676,7 @@ impl Setup<'_> {
 mod tests {
     use super::*;
     use clap::{Args as _, FromArgMatches as _};
+    use roomcast_cli::exit_code;
     use roomcast_core::narration::Program;
     use roomcast_services::embedded;
 
@@ -776,6 +758,6 @@ mod tests {
         let args = parsed("--room-time 50 --room-time 25 --room-time 50");
         let setup = args.study.setup(Some(&args.robot), &[], &APARTMENTS[..1], &PROGRAMS[..1]).unwrap();
         assert_eq!(setup.room_times_s, [50, 25]);
-        assert_eq!(distinct(&[5.0, 2.0, 5.0]), [5.0, 2.0]);
+        assert_eq!(distinct([5.0, 2.0, 5.0]), [5.0, 2.0]);
     }
 }

@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
-use roomcast_cli::{CommandResult, Failure, exit_code, print, print_json, ranges};
-use roomcast_lab::experiment::wishes::{Sums, Way, play};
+use crate::experiment::wishes::{Sums, Way, play};
+use roomcast_cli::{CommandResult, Failure, print, print_json, ranges};
 
 #[derive(Debug, clap::Args)]
 pub(super) struct WishesArgs {
@@ -37,7 +37,7 @@ pub(super) fn run(args: &WishesArgs) -> CommandResult {
     let mut rows = Vec::new();
     for way in Way::ALL {
         let sums = (0..args.seeds).map(|more| play(way, days, args.seed.wrapping_add(more)));
-        let sums = sums.collect::<Result<Vec<_>, _>>().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+        let sums = sums.collect::<Result<Vec<_>, _>>().map_err(Failure::failed)?;
         rows.push((way, sums));
     }
     if args.json {

@@ -9,24 +9,25 @@ use roomcast_core::names::Names;
 use roomcast_core::narration::Program;
 use roomcast_simulation::binding::Binder;
 
+/// Uses of each object after a context.
+type NextCounts = BTreeMap<String, BTreeMap<String, f64>>;
+
 /// Counts of the order of objects in activity programs, in words and without a map. Immediate repeats of an object do not count, since they
 /// are not targets either.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Statistics {
-    /// A description of the counts and their origin.
     pub about: String,
-    /// Number of programs counted.
     pub programs: usize,
     /// Uses of each object.
     pub frequency: BTreeMap<String, f64>,
     /// Uses of each object after another.
-    pub markov1: BTreeMap<String, BTreeMap<String, f64>>,
+    pub markov1: NextCounts,
     /// Uses of each object after two others, written `before>last`.
-    pub markov2: BTreeMap<String, BTreeMap<String, f64>>,
+    pub markov2: NextCounts,
     /// Uses of each object after three others; `^` stands for places before the first.
     #[serde(default)]
-    pub markov3: BTreeMap<String, BTreeMap<String, f64>>,
+    pub markov3: NextCounts,
     /// The fitted parameters of smoothing.
     #[serde(default)]
     pub kneser_ney: KneserNeyFit,
@@ -60,15 +61,10 @@ impl Default for KneserNeyFit {
 
 impl Statistics {
     /// Reads the format of `models/household-statistics.json`.
-    ///
-    /// # Errors
-    /// When the text has another format.
     pub fn from_json(text: &str) -> Result<Self, serde_json::Error> {
         serde_json::from_str(text)
     }
 
-    /// Counts the objects of programs.
-    #[must_use]
     pub fn fit<'a>(programs: impl IntoIterator<Item = &'a Program>) -> Self {
         let mut counts = Self { about: "counted from the programs given".into(), ..Self::default() };
         for program in programs {
@@ -83,19 +79,14 @@ impl Statistics {
             for words in &visited {
                 *counts.frequency.entry(words.clone()).or_default() += 1.0;
             }
-            for pair in visited.windows(2) {
-                *counts.markov1.entry(pair[0].clone()).or_default().entry(pair[1].clone()).or_default() += 1.0;
-            }
-            for three in visited.windows(3) {
-                let context = format!("{}>{}", three[0], three[1]);
-                *counts.markov2.entry(context).or_default().entry(three[2].clone()).or_default() += 1.0;
-            }
-            let mut padded = vec![START.to_owned(); ORDER];
-            padded.extend(visited);
-            for four in padded.windows(ORDER + 1) {
-                let context = four[..ORDER].join(">");
-                *counts.markov3.entry(context).or_default().entry(four[ORDER].clone()).or_default() += 1.0;
-            }
+            let count = |table: &mut NextCounts, words: &[String]| {
+                let (context, next) = words.split_at(words.len() - 1);
+                *table.entry(context.join(">")).or_default().entry(next[0].clone()).or_default() += 1.0;
+            };
+            visited.windows(2).for_each(|words| count(&mut counts.markov1, words));
+            visited.windows(3).for_each(|words| count(&mut counts.markov2, words));
+            let padded = [vec![START.to_owned(); ORDER], visited].concat();
+            padded.windows(ORDER + 1).for_each(|words| count(&mut counts.markov3, words));
         }
         counts
     }
@@ -133,19 +124,18 @@ const UNSEEN: f64 = 0.5;
 /// The baselines for one map's labels. Each gives a probability per scored label.
 #[derive(Debug, Clone)]
 pub struct Baselines {
-    frequency: Vec<f64>,
+    pub frequency: Vec<f64>,
     first: HashMap<String, Counts>,
     first_strength: f64,
     second: HashMap<String, Counts>,
     second_strength: f64,
-    kneser_ney: KneserNey,
+    pub kneser_ney: KneserNey,
     /// Probability that the next object is in the room of the last.
     stay: f64,
 }
 
 impl Baselines {
     /// Binds the statistics to the labels of a map. Objects that the map lacks are not targets, but still context.
-    #[must_use]
     pub fn new(statistics: &Statistics, binder: &mut Binder<'_>, grounding: &Grounding) -> Self {
         let labels = grounding.scored_labels().len();
         let mut frequency = vec![UNSEEN; labels];
@@ -157,7 +147,7 @@ impl Baselines {
         let total: f64 = frequency.iter().sum();
         frequency.iter_mut().for_each(|p| *p /= total);
 
-        let mut bound = |table: &BTreeMap<String, BTreeMap<String, f64>>| {
+        let mut bound = |table: &NextCounts| {
             let mut contexts: HashMap<String, Counts> = HashMap::new();
             for (context, next) in table {
                 let mut key =
@@ -187,55 +177,39 @@ impl Baselines {
         Self { frequency, first, first_strength, second, second_strength, kneser_ney, stay }
     }
 
-    /// Modified Kneser-Ney, after the last three objects, the latest last.
-    #[must_use]
-    pub(crate) fn kneser_ney(&self, context: [Option<&str>; ORDER]) -> Vec<f64> {
-        self.kneser_ney.after(context)
-    }
-
-    /// The same with the objects of this activity, by label, the latest last; `here` is in hand and is not next.
-    #[must_use]
-    pub(crate) fn with_cache(&self, chain: &[f64], visited: &[usize], here: Option<usize>) -> Vec<f64> {
-        self.kneser_ney.with_cache(chain, visited, here)
-    }
-
-    #[must_use]
-    pub(crate) fn frequency(&self) -> &[f64] {
-        &self.frequency
-    }
-
     /// After the last object, given as a [`key`]; frequencies if it was never seen.
-    #[must_use]
     pub(crate) fn markov1(&self, last: Option<&str>) -> Vec<f64> {
         Counts::smoothed(last.and_then(|last| self.first.get(last)), &self.frequency, self.first_strength)
     }
 
     /// After the last two objects; as [`Baselines::markov1`] if the pair was never seen.
-    #[must_use]
     pub(crate) fn markov2(&self, before: Option<&str>, last: Option<&str>) -> Vec<f64> {
         let prior = self.markov1(last);
         let context = before.zip(last).map(|(before, last)| format!("{before}>{last}"));
         Counts::smoothed(context.and_then(|context| self.second.get(&context)), &prior, self.second_strength)
     }
 
-    /// For each partition: the fitted probability of staying in the present one, and equal parts for the others. Uniform without a present
-    /// one.
-    #[must_use]
+    /// For each partition, with the fitted probability of staying in the present one.
     pub fn stay(&self, partition: Option<usize>, partitions: usize) -> Vec<f64> {
-        match partition {
-            Some(here) if partitions > 1 => {
-                let other = (1.0 - self.stay) / (partitions - 1) as f64;
-                (0..partitions).map(|p| if p == here { self.stay } else { other }).collect()
-            }
-            _ => vec![1.0 / partitions as f64; partitions],
+        staying(partition, self.stay, partitions)
+    }
+}
+
+/// One probability for the present place, and equal parts for the others. Uniform without a present one.
+pub fn staying(here: Option<usize>, stay: f64, places: usize) -> Vec<f64> {
+    match here {
+        Some(here) if places > 1 => {
+            let other = (1.0 - stay) / (places - 1) as f64;
+            (0..places).map(|place| if place == here { stay } else { other }).collect()
         }
+        _ => vec![1.0 / places as f64; places],
     }
 }
 
 /// Modified Kneser-Ney smoothing, interpolated and of third order (Kneser and Ney 1995; Chen and Goodman 1999): shorter contexts count the
 /// distinct longer ones before a label, and counts of one, two and more have separate discounts.
 #[derive(Debug, Clone)]
-struct KneserNey {
+pub struct KneserNey {
     tables: [HashMap<String, Counts>; ORDER + 1],
     labels: usize,
     fit: KneserNeyFit,
@@ -256,7 +230,8 @@ impl KneserNey {
         Self { tables, labels, fit }
     }
 
-    fn after(&self, context: [Option<&str>; ORDER]) -> Vec<f64> {
+    /// After the last three objects, the latest last.
+    pub fn after(&self, context: [Option<&str>; ORDER]) -> Vec<f64> {
         let words = context.map(|word| word.unwrap_or(START));
         let mut p = vec![1.0 / self.labels as f64; self.labels];
         for (order, table) in self.tables.iter().enumerate() {
@@ -275,7 +250,8 @@ impl KneserNey {
         p
     }
 
-    fn with_cache(&self, chain: &[f64], visited: &[usize], here: Option<usize>) -> Vec<f64> {
+    /// A forecast of the chain with the objects of this activity, by label, the latest last; `here` is in hand and is not next.
+    pub fn with_cache(&self, chain: &[f64], visited: &[usize], here: Option<usize>) -> Vec<f64> {
         Cache { weight: self.fit.cache_weight, decay: self.fit.cache_decay }.mixed(chain, visited, here)
     }
 }
@@ -297,7 +273,6 @@ const CHAIN_SHARE: f64 = 0.15;
 
 /// The model mixed with the chain and the cache, which shows what it has not learned of them. All three assume that the next thing is not
 /// the one in hand.
-#[must_use]
 pub(crate) fn mixture(model: &[f64], chain: &[f64], visited: &[usize], in_hand: Option<usize>) -> Vec<f64> {
     let both = |(model, chain): (&f64, &f64)| (1.0 - CHAIN_SHARE) * model + CHAIN_SHARE * chain;
     let mixed: Vec<f64> = model.iter().zip(chain).map(both).collect();
@@ -325,7 +300,6 @@ impl Cache {
 }
 
 /// The name of an object in a context: its label in the map, so that synonyms count together, else its words.
-#[must_use]
 pub fn key(name: &str, binder: &mut Binder<'_>, grounding: &Grounding) -> String {
     let label = binder.label(name);
     label.map_or_else(|| Names::built_in().words(name), |label| grounding.scored_labels()[label].text.clone())
@@ -392,18 +366,18 @@ mod tests {
         let likeliest = |p: &[f64]| (0..p.len()).max_by(|a, b| p[*a].total_cmp(&p[*b])).unwrap();
         let key = key("couch", &mut binder, &grounding);
         assert_eq!(likeliest(&baselines.markov1(Some(&key))), fridge);
-        let chain = baselines.kneser_ney([None, None, Some(&key)]);
+        let chain = baselines.kneser_ney.after([None, None, Some(&key)]);
         assert_eq!(likeliest(&chain), fridge);
         let sofa = binder.label("sofa").unwrap();
-        let cached = baselines.with_cache(&chain, &[fridge, sofa], Some(sofa));
+        let cached = baselines.kneser_ney.with_cache(&chain, &[fridge, sofa], Some(sofa));
         assert!(cached[fridge] > 0.85 * chain[fridge] && cached[sofa] < chain[sofa]);
-        assert_eq!(baselines.with_cache(&chain, &[sofa], Some(sofa)), chain);
+        assert_eq!(baselines.kneser_ney.with_cache(&chain, &[sofa], Some(sofa)), chain);
         for p in [
             chain,
             cached,
-            baselines.kneser_ney([Some("x"), Some("y"), Some("z")]),
-            baselines.kneser_ney([None; 3]),
-            baselines.frequency().to_vec(),
+            baselines.kneser_ney.after([Some("x"), Some("y"), Some("z")]),
+            baselines.kneser_ney.after([None; 3]),
+            baselines.frequency.clone(),
             baselines.markov1(Some("x")),
             baselines.markov2(Some("fridge"), Some("sofa")),
         ] {

@@ -2,10 +2,8 @@
 
 use std::fmt::Write;
 
-/// The form of a series.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mark {
-    /// Dots.
     Points,
     /// Dots joined by a line; with more than 60 of them the line alone.
     Line,
@@ -13,27 +11,19 @@ pub enum Mark {
     Steps,
 }
 
-/// Numbers with a name.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
-    /// The name in the legend.
     pub name: String,
     /// (x, y); points that are not finite are skipped.
     pub points: Vec<(f64, f64)>,
-    /// The form.
     pub mark: Mark,
 }
 
-/// A chart.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chart {
-    /// The title above the chart.
     pub title: String,
-    /// The label of the x axis, with the unit.
     pub x: String,
-    /// The label of the y axis, with the unit.
     pub y: String,
-    /// The series.
     pub series: Vec<Series>,
 }
 
@@ -50,8 +40,6 @@ const DOTS_MAX: usize = 60;
 const COLOURS: [&str; 8] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#b8860b", "#444444", "#7b4fa6"];
 
 impl Chart {
-    /// The chart as SVG text.
-    #[must_use]
     pub fn svg(&self) -> String {
         let points = || self.series.iter().flat_map(|s| &s.points).filter(|(x, y)| x.is_finite() && y.is_finite());
         let x = Axis::covering(points().map(|p| p.0));
@@ -133,7 +121,6 @@ fn line(svg: &mut String, [x1, y1, x2, y2]: [f64; 4], colour: &str) {
 }
 
 /// Escapes text for XML or HTML; names may come from other people's files.
-#[must_use]
 pub(crate) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
@@ -174,7 +161,6 @@ impl Axis {
 }
 
 /// The outline of a histogram: shares of the values per bin of width `bin`.
-#[must_use]
 pub fn histogram(values: &[f64], bin: f64) -> Vec<(f64, f64)> {
     let high = values.iter().copied().filter(|v| v.is_finite()).fold(0.0, f64::max);
     let bins = (high / bin) as usize + 1;

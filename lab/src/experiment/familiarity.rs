@@ -8,19 +8,19 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use super::ExperimentError;
 use super::prediction::{LeftOut, NamedProgram, cases, sentences};
+use roomcast_cli::Failure;
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::narration::history::{History, HistoryLimits};
 use roomcast_core::narration::{Observation, Sentence};
 use roomcast_core::places::PlaceMatcher;
 use roomcast_core::prompt::BindingSequence;
+use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::familiarity::Vocabulary;
-use roomcast_core::scorer::{LanguageModel, ModelError, ScoreError};
 use roomcast_core::semantic_map::SemanticMap;
+use roomcast_simulation::ScoreSource;
 use roomcast_simulation::binding::{Binder, ItemChoice};
-use roomcast_simulation::{ScoreSource, ScoresError, StudyError};
 
 /// Which words of a sentence are replaced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -28,9 +28,7 @@ use roomcast_simulation::{ScoreSource, ScoresError, StudyError};
 pub enum Replaced {
     /// None: the product's sentences.
     Nothing,
-    /// The names of things.
     Things,
-    /// All words.
     Everything,
     /// All words of the last sentence. The belief knows the sentences before it.
     Newest,
@@ -39,7 +37,6 @@ pub enum Replaced {
 /// One case: what model and belief gave the true next room.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Case {
-    /// Tokens per byte of the window.
     pub tokens_per_byte: f64,
     /// The weight that the product gives the model.
     pub trust: f64,
@@ -53,7 +50,6 @@ pub const WEIGHTS: usize = 11;
 /// Mean loss of the next room over some cases.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Losses {
-    /// Number of cases.
     pub cases: usize,
     /// Share of the cases with less than the full weight.
     pub flagged: f64,
@@ -64,8 +60,6 @@ pub struct Losses {
 }
 
 impl Losses {
-    /// The losses of some cases.
-    #[must_use]
     pub fn of<'a>(cases: impl Iterator<Item = &'a Case> + Clone) -> Self {
         let count = cases.clone().count();
         let mean = |value: &dyn Fn(&Case) -> f64| cases.clone().map(value).sum::<f64>() / count.max(1) as f64;
@@ -79,8 +73,6 @@ impl Losses {
         }
     }
 
-    /// The best weight, in tenths.
-    #[must_use]
     pub fn best(&self) -> usize {
         let by_nats = |a: &usize, b: &usize| self.by_weight_nats[*a].total_cmp(&self.by_weight_nats[*b]);
         (0..WEIGHTS).min_by(by_nats).unwrap_or_default()
@@ -90,7 +82,6 @@ impl Losses {
 /// A text's weight, and the probability of the likeliest room by the scores alone and with their weight.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Text {
-    /// Tokens per byte.
     pub tokens_per_byte: f64,
     /// The weight of the scores.
     pub trust: f64,
@@ -134,18 +125,15 @@ fn measure<'a, M: LanguageModel>(model: &M, window: impl Iterator<Item = &'a str
 }
 
 /// The cases of some programs in one map.
-///
-/// # Errors
-/// When the model fails, or an object's name makes no sentence.
 pub fn losses<M: LanguageModel>(
     programs: &[NamedProgram],
     (map, grounding): (&SemanticMap, &Grounding),
     source: &mut ScoreSource<M>,
     limits: HistoryLimits,
     replaced: Replaced,
-) -> Result<Vec<Case>, ExperimentError> {
+) -> Result<Vec<Case>, Failure> {
     let binding = BindingSequence::default();
-    let vocabulary = Vocabulary::of(source.language_model()).map_err(failed)?;
+    let vocabulary = Vocabulary::of(source.language_model()).map_err(Failure::model)?;
     let mut mentions = PlaceMatcher::new(map, grounding);
     let mut binder = Binder::new(map, grounding, ItemChoice::Nearest);
     let mut found = Vec::new();
@@ -198,21 +186,18 @@ pub fn losses<M: LanguageModel>(
 }
 
 /// Each sentence of a text alone.
-///
-/// # Errors
-/// When the model fails, or a line is no sentence.
 pub fn texts<M: LanguageModel>(
     lines: &[&str],
     grounding: &Grounding,
     source: &mut ScoreSource<M>,
-) -> Result<Vec<Text>, ExperimentError> {
-    let vocabulary = Vocabulary::of(source.language_model()).map_err(failed)?;
+) -> Result<Vec<Text>, Failure> {
+    let vocabulary = Vocabulary::of(source.language_model()).map_err(Failure::model)?;
     let mut grounded = GroundedScores::default();
     let mut found = Vec::with_capacity(lines.len());
     for line in lines {
         let sentence = Sentence::new(line)?;
         let row = source.score([sentence.as_str()], &BindingSequence::default())?;
-        grounding.ground(&row, &mut grounded).map_err(StudyError::from)?;
+        grounding.ground(&row, &mut grounded)?;
         let (tokens, bytes) = measure(source.language_model(), [sentence.as_str()].into_iter());
         let (trust, rooms) = (vocabulary.trust(tokens, bytes), grounded.partition_probability.len() as f64);
         let top = grounded.partition_probability.iter().copied().fold(0.0, f64::max);
@@ -223,14 +208,9 @@ pub fn texts<M: LanguageModel>(
 }
 
 /// The sets of a file: a line in brackets names a set, and the lines after it are its sentences.
-#[must_use]
 pub fn sets(text: &str) -> BTreeMap<&str, Vec<&str>> {
     let named = text.split("\n[").skip(1).filter_map(|set| set.split_once("]\n"));
     named.map(|(name, lines)| (name, lines.lines().filter(|line| !line.is_empty()).collect())).collect()
-}
-
-fn failed(error: ModelError) -> ExperimentError {
-    ScoresError::from(ScoreError::from(error)).into()
 }
 
 #[cfg(test)]

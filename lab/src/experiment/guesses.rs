@@ -11,8 +11,10 @@ use roomcast_core::scorer::LanguageModel;
 use roomcast_core::semantic_map::SemanticMap;
 use serde::Serialize;
 
+use roomcast_cli::Failure;
+
 use super::prediction::{NamedProgram, sentences};
-use super::{ExperimentError, Progress};
+use super::{Progress, nothing_bound};
 use roomcast_simulation::ScoreSource;
 
 /// The number of steps with their sentence among the first K guesses.
@@ -42,7 +44,6 @@ impl Hits {
     }
 }
 
-/// The results of the experiment.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Report {
     /// The numbers of guesses, ascending.
@@ -56,9 +57,6 @@ pub struct Report {
 }
 
 /// Plays each program from its start, once with a guesser that only follows and once with one that learns.
-///
-/// # Errors
-/// When the model fails, an object's name makes no sentence, or nothing that is said is about a thing of the map.
 pub fn run<M: LanguageModel>(
     (programs, counts): (&[NamedProgram], &Counts),
     (map, grounding): (&SemanticMap, &Grounding),
@@ -66,7 +64,7 @@ pub fn run<M: LanguageModel>(
     (limits, binding): (HistoryLimits, &BindingSequence),
     k: &[usize],
     progress: &Progress,
-) -> Result<Report, ExperimentError> {
+) -> Result<Report, Failure> {
     let labels = grounding.label_texts();
     let mut seeded = Guesser::new(counts, &labels);
     let mut learner = seeded.clone();
@@ -96,7 +94,7 @@ pub fn run<M: LanguageModel>(
         progress.step();
     }
     source.flush()?;
-    if mentioned { Ok(report) } else { Err(ExperimentError::NothingBound { scene: map.name().to_owned() }) }
+    if mentioned { Ok(report) } else { Err(nothing_bound(map.name())) }
 }
 
 #[cfg(test)]
@@ -125,6 +123,7 @@ mod tests {
         };
         let report = run_with("[Walk] <fridge> (1)").unwrap();
         assert_eq!((report.seed.steps, report.seed.among, report.learning.among), (0, vec![0; 2], vec![0; 2]));
-        assert!(matches!(run_with("[Walk] <spaceship> (1)"), Err(ExperimentError::NothingBound { .. })));
+        let failure = run_with("[Walk] <spaceship> (1)").unwrap_err();
+        assert!(failure.to_string().contains("has none of the things"), "{failure}");
     }
 }

@@ -7,18 +7,15 @@ use serde::Serialize;
 use super::resampling::{ci95, drawn};
 
 /// Bins of the expected calibration error, of equal width over the probability of the likeliest outcome.
-pub(crate) const ECE_BINS: usize = 15;
+const ECE_BINS: usize = 15;
 pub(super) const RESAMPLES: usize = 1000;
 
 /// Sums over cases. They are additive, so a bootstrap resamples groups of cases by adding their sums.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Sums {
     cases: f64,
-    nll_nats: f64,
-    top1: f64,
-    top5: f64,
-    reciprocal_rank: f64,
-    brier: f64,
+    /// Negative log-likelihood, right, among the first five, reciprocal rank, Brier score.
+    scores: [f64; 5],
     /// For each bin: cases, sum of the greatest probability, cases with a correct likeliest outcome.
     bins: [[f64; 3]; ECE_BINS],
 }
@@ -31,164 +28,115 @@ impl Sums {
         let greater = probabilities.iter().filter(|q| **q > p).count();
         let ties = probabilities.iter().filter(|q| **q == p).count();
         let within = |k: usize| (k.saturating_sub(greater) as f64 / ties as f64).min(1.0);
-        self.cases += 1.0;
-        self.nll_nats -= p.max(f64::MIN_POSITIVE).ln();
-        self.top1 += within(1);
-        self.top5 += within(5);
-        self.reciprocal_rank += (1..=ties).map(|i| 1.0 / (greater + i) as f64).sum::<f64>() / ties as f64;
-        self.brier += probabilities.iter().map(|q| q * q).sum::<f64>() + 1.0 - 2.0 * p;
+        let reciprocal_rank = (1..=ties).map(|i| 1.0 / (greater + i) as f64).sum::<f64>() / ties as f64;
+        let brier = probabilities.iter().map(|q| q * q).sum::<f64>() + 1.0 - 2.0 * p;
+        let scores = [-p.max(f64::MIN_POSITIVE).ln(), within(1), within(5), reciprocal_rank, brier];
         let confidence = probabilities.iter().copied().fold(0.0, f64::max);
-        let bin = ((confidence * ECE_BINS as f64) as usize).min(ECE_BINS - 1);
-        self.bins[bin][0] += 1.0;
-        self.bins[bin][1] += confidence;
-        self.bins[bin][2] += within(1);
+        let bin = &mut self.bins[((confidence * ECE_BINS as f64) as usize).min(ECE_BINS - 1)];
+        self.cases += 1.0;
+        let sums = self.scores.iter_mut().chain(bin);
+        sums.zip(scores.into_iter().chain([1.0, confidence, within(1)])).for_each(|(sum, more)| *sum += more);
     }
 
-    pub(crate) fn merge(&mut self, other: &Self) {
-        self.cases += other.cases;
-        self.nll_nats += other.nll_nats;
-        self.top1 += other.top1;
-        self.top5 += other.top5;
-        self.reciprocal_rank += other.reciprocal_rank;
-        self.brier += other.brier;
-        for (own, more) in self.bins.iter_mut().flatten().zip(other.bins.iter().flatten()) {
-            *own += more;
-        }
+    fn parts(&mut self) -> impl Iterator<Item = &mut f64> {
+        std::iter::once(&mut self.cases).chain(&mut self.scores).chain(self.bins.as_flattened_mut())
     }
 
-    pub(crate) fn len(&self) -> usize {
+    pub fn merge(&mut self, other: &Self) {
+        let mut other = *other;
+        self.parts().zip(other.parts()).for_each(|(own, more)| *own += *more);
+    }
+
+    pub fn len(&self) -> usize {
         self.cases as usize
     }
 
-    pub(crate) fn is_empty(&self) -> bool {
+    pub fn is_empty(&self) -> bool {
         self.cases == 0.0
     }
 
     /// The same means with the weight of one case; empty without cases.
     fn as_one_case(&self) -> Self {
-        let n = self.cases.max(1.0);
-        let mut one = Self::default();
-        one.merge(self);
-        for sum in
-            [&mut one.cases, &mut one.nll_nats, &mut one.top1, &mut one.top5, &mut one.reciprocal_rank, &mut one.brier]
-                .into_iter()
-                .chain(one.bins.iter_mut().flatten())
-        {
-            *sum /= n;
-        }
+        let (n, mut one) = (self.cases.max(1.0), *self);
+        one.parts().for_each(|sum| *sum /= n);
         one
     }
 
-    fn means(&self) -> [f64; METRICS.len()] {
+    fn means(&self) -> Means {
         let n = self.cases.max(1.0);
         let gap = |[_, confidence, right]: &[f64; 3]| (confidence - right).abs();
         let ece = self.bins.iter().map(gap).sum::<f64>();
         let confidence = self.bins.iter().map(|[_, confidence, _]| confidence).sum::<f64>();
-        [self.nll_nats, self.top1, self.top5, self.reciprocal_rank, self.brier, confidence, ece].map(|sum| sum / n)
+        let [nll_nats, top1, top5, mrr, brier] = self.scores;
+        [nll_nats, top1, top5, mrr, brier, confidence, ece].map(|sum| sum / n)
     }
 }
 
-const METRICS: [&str; 7] = ["nll_nats", "top1", "top5", "mrr", "brier", "confidence", "ece"];
+/// The parts of [`Figures`], in their order.
+type Means = [f64; 7];
 
-/// 95 % intervals, each `[low, high]`.
+/// One value for each score of a forecast: a mean, or the interval of one.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Intervals {
-    /// For the mean negative log-likelihood.
-    pub nll_nats: [f64; 2],
-    /// For the share of cases with the likeliest outcome.
-    pub top1: [f64; 2],
-    /// For the share of cases with one of the five likeliest outcomes.
-    pub top5: [f64; 2],
-    /// For the mean reciprocal rank.
-    pub mrr: [f64; 2],
-    /// For the Brier score.
-    pub brier: [f64; 2],
-    /// For the mean confidence.
-    pub confidence: [f64; 2],
-    /// For the expected calibration error.
-    pub ece: [f64; 2],
+pub struct Figures<T> {
+    pub nll_nats: T,
+    /// Share of cases with the likeliest outcome, and with one of the five likeliest.
+    pub top1: T,
+    pub top5: T,
+    pub mrr: T,
+    /// Over all outcomes, 0 to 2.
+    pub brier: T,
+    /// Mean probability of the likeliest outcome: above `top1`, the forecast is overconfident.
+    pub confidence: T,
+    /// Expected calibration error of the likeliest outcome's probability, over 15 bins.
+    pub ece: T,
+}
+
+impl<T> From<[T; 7]> for Figures<T> {
+    fn from([nll_nats, top1, top5, mrr, brier, confidence, ece]: [T; 7]) -> Self {
+        Self { nll_nats, top1, top5, mrr, brier, confidence, ece }
+    }
 }
 
 /// Means over all cases, with intervals.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Summary {
-    /// The number of cases.
     pub cases: usize,
-    /// Mean negative log-likelihood in nats.
-    pub nll_nats: f64,
-    /// Share of cases with the likeliest outcome.
-    pub top1: f64,
-    /// Share of cases with one of the five likeliest outcomes.
-    pub top5: f64,
-    /// Mean reciprocal rank.
-    pub mrr: f64,
-    /// Mean Brier score over all outcomes, 0 to 2.
-    pub brier: f64,
-    /// Mean probability of the likeliest outcome: above `top1`, the forecast is overconfident.
-    pub confidence: f64,
-    /// Expected calibration error of the likeliest outcome's probability, over 15 bins.
-    pub ece: f64,
+    #[serde(flatten)]
+    pub mean: Figures<f64>,
     /// Bootstrap intervals over groups; `None` if fewer than two have cases.
-    pub ci95: Option<Intervals>,
+    pub ci95: Option<Figures<[f64; 2]>>,
 }
 
-impl Summary {
-    fn with(&self, value: f64, of: impl Fn(&Intervals) -> [f64; 2]) -> (f64, Option<[f64; 2]>) {
-        (value, self.ci95.as_ref().map(of))
-    }
+/// A mean and its interval.
+pub type Figure = (f64, Option<[f64; 2]>);
 
-    /// The likelihood and its interval.
-    #[must_use]
-    pub fn nll(&self) -> (f64, Option<[f64; 2]>) {
-        self.with(self.nll_nats, |ci95| ci95.nll_nats)
-    }
-
-    /// The share of cases with the likeliest outcome, and its interval.
-    #[must_use]
-    pub fn top1(&self) -> (f64, Option<[f64; 2]>) {
-        self.with(self.top1, |ci95| ci95.top1)
-    }
-
-    /// The share of cases with one of the five likeliest outcomes, and its interval.
-    #[must_use]
-    pub fn top5(&self) -> (f64, Option<[f64; 2]>) {
-        self.with(self.top5, |ci95| ci95.top5)
-    }
-
-    /// The mean reciprocal rank and its interval.
-    #[must_use]
-    pub fn mrr(&self) -> (f64, Option<[f64; 2]>) {
-        self.with(self.mrr, |ci95| ci95.mrr)
-    }
-
-    /// The Brier score and its interval.
-    #[must_use]
-    pub fn brier(&self) -> (f64, Option<[f64; 2]>) {
-        self.with(self.brier, |ci95| ci95.brier)
-    }
-
-    /// The mean confidence and its interval.
-    #[must_use]
-    pub fn confidence(&self) -> (f64, Option<[f64; 2]>) {
-        self.with(self.confidence, |ci95| ci95.confidence)
-    }
-
-    /// The calibration error and its interval.
-    #[must_use]
-    pub fn ece(&self) -> (f64, Option<[f64; 2]>) {
-        self.with(self.ece, |ci95| ci95.ece)
+/// A mean with its interval in text.
+pub fn shown((value, interval): Figure, decimals: usize) -> String {
+    match interval {
+        None => format!("{value:.decimals$}"),
+        Some([low, high]) => format!("{value:.decimals$} [{low:.decimals$}, {high:.decimals$}]"),
     }
 }
+
+macro_rules! figures {
+    ($($name:ident $field:ident),*) => {
+        impl Summary {
+            $(pub fn $name(&self) -> Figure {
+                (self.mean.$field, self.ci95.map(|ci95| ci95.$field))
+            })*
+        }
+    };
+}
+
+figures!(nll nll_nats, top1 top1, top5 top5, mrr mrr, brier brier, confidence confidence, ece ece);
 
 /// Summarises groups of cases. It resamples whole groups, because the cases of one program depend on one another.
-#[must_use]
-pub(crate) fn summarise(groups: &[Sums], seed: u64) -> Summary {
+pub fn summarise(groups: &[Sums], seed: u64) -> Summary {
     bootstrap([groups], seed, |[all]| all.means())
 }
 
 /// Merges groups, in the order of their first member; `of` gives the merged group of each.
-#[must_use]
-pub(crate) fn merged(groups: &[Sums], of: &[usize]) -> Vec<Sums> {
+pub fn merged(groups: &[Sums], of: &[usize]) -> Vec<Sums> {
     let mut merged = vec![Sums::default(); of.iter().max().map_or(0, |most| most + 1)];
     for (group, of) in groups.iter().zip(of) {
         merged[*of].merge(group);
@@ -197,14 +145,12 @@ pub(crate) fn merged(groups: &[Sums], of: &[usize]) -> Vec<Sums> {
 }
 
 /// As [`summarise`], with equal weights of the groups, however many cases they have.
-#[must_use]
-pub(crate) fn macro_average(groups: &[Sums], seed: u64) -> Summary {
+pub fn macro_average(groups: &[Sums], seed: u64) -> Summary {
     summarise(&alike(groups), seed)
 }
 
 /// As [`difference`], with equal weights of the groups.
-#[must_use]
-pub(crate) fn macro_difference(groups: &[Sums], others: &[Sums], seed: u64) -> Summary {
+pub fn macro_difference(groups: &[Sums], others: &[Sums], seed: u64) -> Summary {
     difference(&alike(groups), &alike(others), seed)
 }
 
@@ -215,7 +161,6 @@ fn alike(groups: &[Sums]) -> Vec<Sums> {
 /// The means of one forecast minus those of another on the same cases in the same groups. Both are resampled together, so the difficulty of
 /// the cases cancels, which is most of the width of each interval. So an interval on one side of zero separates them even if their own
 /// intervals overlap.
-#[must_use]
 pub fn difference(groups: &[Sums], others: &[Sums], seed: u64) -> Summary {
     bootstrap([groups, others], seed, |[own, other]| {
         let (own, other) = (own.means(), other.means());
@@ -228,11 +173,7 @@ pub fn difference(groups: &[Sums], others: &[Sums], seed: u64) -> Summary {
 ///
 /// The calibration error is a mean of absolute values, which grows when cases are drawn again. So the mean of that growth is subtracted
 /// from its samples.
-fn bootstrap<const ROWS: usize>(
-    rows: [&[Sums]; ROWS],
-    seed: u64,
-    value: impl Fn([Sums; ROWS]) -> [f64; METRICS.len()],
-) -> Summary {
+fn bootstrap<const ROWS: usize>(rows: [&[Sums]; ROWS], seed: u64, value: impl Fn([Sums; ROWS]) -> Means) -> Summary {
     let groups = rows.iter().map(|row| row.len()).min().unwrap_or(0);
     let groups: Vec<usize> = (0..groups).filter(|group| rows.iter().any(|row| !row[*group].is_empty())).collect();
     let total = |groups: &[usize]| {
@@ -244,27 +185,23 @@ fn bootstrap<const ROWS: usize>(
     };
     let all = total(&groups);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut samples: [Vec<f64>; METRICS.len()] = Default::default();
+    let mut samples: [Vec<f64>; 7] = Default::default();
     for _ in 0..if groups.len() > 1 { RESAMPLES } else { 0 } {
         let sample = total(&drawn(&groups, &mut rng));
         if sample.iter().all(|sums| sums.cases > 0.0) {
             samples.iter_mut().zip(value(sample)).for_each(|(samples, mean)| samples.push(mean));
         }
     }
-    let [nll_nats, top1, top5, mrr, brier, confidence, ece] = value(all);
+    let cases = all.first().map_or(0, Sums::len);
+    let mean = Figures::from(value(all));
     let [.., drawn] = &mut samples;
-    let added = drawn.iter().sum::<f64>() / drawn.len() as f64 - ece;
+    let added = drawn.iter().sum::<f64>() / drawn.len() as f64 - mean.ece;
     // For one forecast it is never negative; for a difference it may be.
     let least = if ROWS == 1 { 0.0 } else { f64::NEG_INFINITY };
     drawn.iter_mut().for_each(|sample| *sample = (*sample - added).max(least));
-    let ci95 = match samples.map(ci95) {
-        [Some(nll_nats), Some(top1), Some(top5), Some(mrr), Some(brier), Some(confidence), Some(ece)] => {
-            Some(Intervals { nll_nats, top1, top5, mrr, brier, confidence, ece })
-        }
-        _ => None,
-    };
-    let cases = all.first().map_or(0.0, |sums| sums.cases) as usize;
-    Summary { cases, nll_nats, top1, top5, mrr, brier, confidence, ece, ci95 }
+    let is_drawn = !drawn.is_empty();
+    let ci95 = is_drawn.then(|| samples.map(|samples| ci95(samples).unwrap_or_default()).into());
+    Summary { cases, mean, ci95 }
 }
 
 #[cfg(test)]
@@ -277,12 +214,12 @@ mod tests {
         (0..10).for_each(|truth| sums.add(&[0.1; 10], truth));
         let summary = summarise(&[sums], 1);
         assert_eq!(summary.cases, 10);
-        assert!((summary.nll_nats - 10f64.ln()).abs() < 1e-12);
-        assert!((summary.top1 - 0.1).abs() < 1e-12 && (summary.top5 - 0.5).abs() < 1e-12);
+        assert!((summary.mean.nll_nats - 10f64.ln()).abs() < 1e-12);
+        assert!((summary.mean.top1 - 0.1).abs() < 1e-12 && (summary.mean.top5 - 0.5).abs() < 1e-12);
         let harmonic: f64 = (1..=10).map(|i| 1.0 / f64::from(i)).sum();
-        assert!((summary.mrr - harmonic / 10.0).abs() < 1e-12);
-        assert!((summary.brier - 0.9).abs() < 1e-12);
-        assert!(summary.ece < 1e-12);
+        assert!((summary.mean.mrr - harmonic / 10.0).abs() < 1e-12);
+        assert!((summary.mean.brier - 0.9).abs() < 1e-12);
+        assert!(summary.mean.ece < 1e-12);
     }
 
     #[test]
@@ -290,10 +227,15 @@ mod tests {
         let mut sums = Sums::default();
         sums.add(&[0.0, 1.0], 1);
         let right = summarise(&[sums], 1);
-        assert_eq!((right.nll_nats, right.top1, right.mrr, right.brier, right.ece), (0.0, 1.0, 1.0, 0.0, 0.0));
+        assert_eq!(
+            (right.mean.nll_nats, right.mean.top1, right.mean.mrr, right.mean.brier, right.mean.ece),
+            (0.0, 1.0, 1.0, 0.0, 0.0)
+        );
         sums.add(&[0.0, 1.0], 0);
         let wrong = summarise(&[sums], 1);
-        assert!(wrong.nll_nats > 300.0 && wrong.brier == 1.0 && wrong.ece == 0.5 && wrong.top1 == 0.5);
+        assert!(
+            wrong.mean.nll_nats > 300.0 && wrong.mean.brier == 1.0 && wrong.mean.ece == 0.5 && wrong.mean.top1 == 0.5
+        );
     }
 
     #[test]
@@ -310,7 +252,7 @@ mod tests {
         let (few, many) = (summarise(&groups(20), 1), summarise(&groups(2000), 1));
         let [low, high] = few.ci95.unwrap().top1;
         let width = |s: &Summary| s.ci95.map(|ci95| ci95.top1[1] - ci95.top1[0]).unwrap();
-        assert!(low <= few.top1 && few.top1 <= high);
+        assert!(low <= few.mean.top1 && few.mean.top1 <= high);
         assert!(width(&many) < 0.2 * width(&few));
         assert_eq!(summarise(&groups(20), 1), few);
     }
@@ -325,9 +267,9 @@ mod tests {
         };
         let groups: Vec<Sums> = (0..40).map(group).collect();
         let forecast = summarise(&groups, 1);
-        assert!(forecast.ece < 0.01 && (forecast.confidence - 0.7).abs() < 1e-12, "{forecast:?}");
+        assert!(forecast.mean.ece < 0.01 && (forecast.mean.confidence - 0.7).abs() < 1e-12, "{forecast:?}");
         let [low, high] = forecast.ci95.unwrap().ece;
-        assert!(low <= forecast.ece && forecast.ece <= high, "{forecast:?}");
+        assert!(low <= forecast.mean.ece && forecast.mean.ece <= high, "{forecast:?}");
     }
 
     /// A program without a case is never drawn, and one program has no interval.
@@ -357,9 +299,9 @@ mod tests {
         let activities = merged(&programs, &[0, 1, 0, 1, 2]);
         assert_eq!(activities.len(), 3);
         let (pooled, alike) = (summarise(&activities, 1), macro_average(&activities, 1));
-        assert!((pooled.top1 - 16.0 / 18.0).abs() < 1e-12 && (alike.top1 - 0.5).abs() < 1e-12);
+        assert!((pooled.mean.top1 - 16.0 / 18.0).abs() < 1e-12 && (alike.mean.top1 - 0.5).abs() < 1e-12);
         assert_eq!((pooled.cases, alike.cases), (18, 2));
-        assert!((alike.ece - 0.3).abs() < 1e-12, "{}", alike.ece);
+        assert!((alike.mean.ece - 0.3).abs() < 1e-12, "{}", alike.mean.ece);
     }
 
     #[test]
@@ -380,8 +322,8 @@ mod tests {
         assert!(own.ci95.unwrap().brier[1] > other.ci95.unwrap().brier[0], "each by itself overlaps");
         let gain = difference(&better, &worse, 1);
         assert!(gain.ci95.is_some_and(|gain| gain.brier[1] < 0.0 && gain.nll_nats[1] < 0.0));
-        assert!((gain.nll_nats - (own.nll_nats - other.nll_nats)).abs() < 1e-12);
+        assert!((gain.mean.nll_nats - (own.mean.nll_nats - other.mean.nll_nats)).abs() < 1e-12);
         let none = difference(&better, &better, 1);
-        assert_eq!((none.nll_nats, none.ci95.unwrap().mrr), (0.0, [0.0, 0.0]));
+        assert_eq!((none.mean.nll_nats, none.ci95.unwrap().mrr), (0.0, [0.0, 0.0]));
     }
 }

@@ -29,28 +29,19 @@ const BINS: usize = 20;
 const AHEAD_S: usize = 900;
 const FORECAST_EVERY: usize = 15;
 
-/// The conditions of a row.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Setup {
-    /// Residents, one to four.
     pub residents: usize,
-    /// Devices that the home lacks.
     pub without: Vec<Device>,
-    /// Days in all.
     pub days: usize,
-    /// Seed of homes, days and devices.
     pub seed: u64,
-    /// Whether a cat lives there.
     pub pet: bool,
-    /// Share of days with guests.
     pub visits: f64,
-    /// Settings of the filter.
     pub tracker: TrackerOptions,
     /// Days from elsewhere; written days if `None`.
     pub recorded: Option<Arc<Recorded>>,
 }
 
-/// The method that answers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
@@ -67,15 +58,10 @@ pub enum Method {
 /// One row of the table. Shares are of all scored minutes.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Row {
-    /// The method.
     pub method: Method,
-    /// Residents.
     pub residents: usize,
-    /// Missing devices.
     pub without: Vec<String>,
-    /// Whether a cat lives there.
     pub pet: bool,
-    /// Days.
     pub days: usize,
     /// Persons in the right room or rightly elsewhere.
     pub right: f64,
@@ -101,71 +87,76 @@ pub struct Row {
     pub report_us: f64,
 }
 
-#[derive(Debug, Clone, Default)]
+/// A sum and its number of cases.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Mean {
+    sum: f64,
+    count: f64,
+}
+
+impl Mean {
+    fn add(&mut self, value: impl Into<f64>) {
+        self.merge(&Self { sum: value.into(), count: 1.0 });
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.sum += other.sum;
+        self.count += other.count;
+    }
+
+    fn value(&self) -> f64 {
+        if self.count > 0.0 { self.sum / self.count } else { 0.0 }
+    }
+}
+
+#[derive(Debug, Clone, Copy, Default)]
 struct Sums {
-    persons: f64,
-    right: f64,
-    loss: f64,
-    sure: f64,
-    rooms: f64,
-    rooms_right: f64,
-    /// By the number of visitors: rooms, and those rightly occupied or free.
-    visited: [[f64; 2]; 3],
-    minutes: f64,
-    empty_wrong: f64,
-    bins: [[f64; 3]; BINS],
-    forecasts: f64,
-    forecast_loss: f64,
+    right: Mean,
+    loss: Mean,
+    sure: Mean,
+    rooms: Mean,
+    /// Rooms rightly occupied or free, by the number of visitors.
+    visited: [Mean; 3],
+    empty: Mean,
+    /// Right cases and their probability, by its bin.
+    bins: [[Mean; 2]; BINS],
+    forecast: Mean,
     work: Work,
-    reports: f64,
-    seconds: f64,
+    seconds: Mean,
 }
 
 impl Sums {
+    fn means(&mut self) -> impl Iterator<Item = &mut Mean> {
+        let one = [&mut self.right, &mut self.loss, &mut self.sure, &mut self.rooms, &mut self.empty];
+        let other = [&mut self.forecast, &mut self.work.beside, &mut self.work.done, &mut self.seconds];
+        one.into_iter().chain(other).chain(&mut self.visited).chain(self.bins.as_flattened_mut())
+    }
+
     fn add(&mut self, other: &Self) {
-        let pairs = [
-            (&mut self.persons, other.persons),
-            (&mut self.right, other.right),
-            (&mut self.loss, other.loss),
-            (&mut self.sure, other.sure),
-            (&mut self.rooms, other.rooms),
-            (&mut self.rooms_right, other.rooms_right),
-            (&mut self.minutes, other.minutes),
-            (&mut self.empty_wrong, other.empty_wrong),
-            (&mut self.forecasts, other.forecasts),
-            (&mut self.forecast_loss, other.forecast_loss),
-            (&mut self.reports, other.reports),
-            (&mut self.seconds, other.seconds),
-        ];
-        pairs.into_iter().for_each(|(own, more)| *own += more);
-        let visited = self.visited.as_flattened_mut().iter_mut().zip(other.visited.as_flattened());
-        visited.for_each(|(own, more)| *own += more);
-        self.work.add(&other.work);
-        for (own, more) in self.bins.iter_mut().zip(&other.bins) {
-            own.iter_mut().zip(more).for_each(|(own, more)| *own += more);
-        }
+        let mut other = *other;
+        self.means().zip(other.means()).for_each(|(own, more)| own.merge(more));
     }
 
     fn row(&self, setup: &Setup, method: Method) -> Row {
-        let of = |sum: f64, count: f64| if count > 0.0 { sum / count } else { 0.0 };
-        let error = |[count, right, sure]: &[f64; 3]| if *count > 0.0 { (right - sure).abs() } else { 0.0 };
+        let error = |[right, sure]: &[Mean; 2]| (right.sum - sure.sum).abs();
+        let persons = self.right.count;
         Row {
             method,
             residents: setup.residents,
             without: setup.without.iter().map(ToString::to_string).collect(),
             pet: setup.pet,
             days: setup.days,
-            right: of(self.right, self.persons),
-            rooms: of(self.rooms_right, self.rooms),
-            rooms_visited: [1, 2].map(|visitors: usize| of(self.visited[visitors][1], self.visited[visitors][0])),
-            log_loss_nats: of(self.loss, self.persons),
-            calibration_error: of(self.bins.iter().map(error).sum(), self.persons),
-            wrong_and_sure: of(self.sure, self.persons),
-            empty_while_in: 10_000.0 * of(self.empty_wrong, self.minutes),
-            forecast_nats: (self.forecasts > 0.0).then(|| of(self.forecast_loss, self.forecasts)),
-            beside_min_per_h: 60.0 * of(self.work.beside, self.work.minutes),
-            rooms_done: of(self.work.done, self.work.rooms),
-            report_us: 1e6 * of(self.seconds, self.reports),
+            right: self.right.value(),
+            rooms: self.rooms.value(),
+            rooms_visited: [1, 2].map(|visitors: usize| self.visited[visitors].value()),
+            log_loss_nats: self.loss.value(),
+            calibration_error: Mean { sum: self.bins.iter().map(error).sum(), count: persons }.value(),
+            wrong_and_sure: self.sure.value(),
+            empty_while_in: 10_000.0 * self.empty.value(),
+            forecast_nats: (self.forecast.count > 0.0).then(|| self.forecast.value()),
+            beside_min_per_h: 60.0 * self.work.beside.value(),
+            rooms_done: self.work.done.value(),
+            report_us: 1e6 * self.seconds.value(),
         }
     }
 }
@@ -187,9 +178,6 @@ trait Believer {
 }
 
 /// Runs every method on the same homes.
-///
-/// # Errors
-/// If a plan cannot be built.
 pub fn run(setup: &Setup, methods: &[Method], done: impl Fn() + Sync) -> Result<Vec<Row>, TrackerError> {
     let blocks = setup.days.div_ceil(HOME_DAYS).max(1);
     let parts: Result<Vec<Vec<Sums>>, TrackerError> = (0..blocks)
@@ -269,10 +257,10 @@ fn play(
         let began = std::time::Instant::now();
         while let Some(report) = reports.next_if(|report| report.at_s <= *second as f64) {
             own.report(report);
-            sums.reports += 1.0;
+            sums.seconds.count += 1.0;
         }
         own.advance(*second as f64);
-        sums.seconds += began.elapsed().as_secs_f64();
+        sums.seconds.sum += began.elapsed().as_secs_f64();
         score(plan, truth, *second, own, &mut sums);
         robot.pass(*second, own, |room| truth.places(*second).any(|place| place == Some(room)));
         let later = second + AHEAD_S;
@@ -283,8 +271,7 @@ fn play(
         {
             for (person, life) in truth.residents.iter().enumerate() {
                 let p = forecast.probability(person, life.room[later].map(usize::from));
-                sums.forecast_loss -= p.max(1e-6).ln();
-                sums.forecasts += 1.0;
+                sums.forecast.add(-p.max(1e-6).ln());
             }
         }
     }
@@ -299,28 +286,22 @@ fn score(plan: &Plan, truth: &Truth, second: usize, own: &dyn Believer, sums: &m
         let places = (0..rooms).map(Some).chain([None]).map(|room| (room, own.place(person, room)));
         let (guess, p) = places.max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((None, 0.0));
         let right = guess == is_at;
-        sums.persons += 1.0;
-        sums.right += f64::from(u8::from(right));
-        sums.sure += f64::from(u8::from(!right && p > 0.9));
-        sums.loss -= own.place(person, is_at).max(1e-6).ln();
-        let bin = &mut sums.bins[((p * BINS as f64) as usize).min(BINS - 1)];
-        bin[0] += 1.0;
-        bin[1] += f64::from(u8::from(right));
-        bin[2] += p;
+        sums.right.add(right);
+        sums.sure.add(!right && p > 0.9);
+        sums.loss.add(-own.place(person, is_at).max(1e-6).ln());
+        let [rights, sure] = &mut sums.bins[((p * BINS as f64) as usize).min(BINS - 1)];
+        rights.add(right);
+        sure.add(p);
     }
     let visitors = truth.visitors.iter().filter(|life| life.room[second].is_some()).count().min(2);
     for room in 0..rooms {
         let occupied = truth.places(second).any(|place| place == Some(room));
-        let right = f64::from(u8::from((own.occupied(room) > 0.5) == occupied));
-        sums.rooms += 1.0;
-        sums.rooms_right += right;
-        let of_visited = &mut sums.visited[visitors];
-        of_visited[0] += 1.0;
-        of_visited[1] += right;
+        let right = (own.occupied(room) > 0.5) == occupied;
+        sums.rooms.add(right);
+        sums.visited[visitors].add(right);
     }
     let is_in = truth.places(second).any(|place| place.is_some());
-    sums.minutes += 1.0;
-    sums.empty_wrong += f64::from(u8::from(is_in && own.empty() >= SURELY_EMPTY));
+    sums.empty.add(is_in && own.empty() >= SURELY_EMPTY);
 }
 
 /// A tracker that follows the hour.

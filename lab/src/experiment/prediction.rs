@@ -11,11 +11,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use roomcast_cli::{Failure, report_faults};
 use serde::Serialize;
 
 use super::baselines::{self, Baselines, Statistics};
 use super::losses::{Summary, Sums, difference, macro_average, macro_difference, merged, summarise};
-use super::{ExperimentError, Progress};
+use super::{Progress, nothing_bound};
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::narration::history::HistoryLimits;
@@ -28,12 +29,9 @@ use roomcast_core::semantic_map::SemanticMap;
 use roomcast_simulation::ScoreSource;
 use roomcast_simulation::binding::{Binder, ItemChoice};
 
-/// A program and its file.
 #[derive(Debug, Clone)]
 pub struct NamedProgram {
-    /// Its file; a day of a household counts as one program.
     pub path: PathBuf,
-    /// The program.
     pub program: Program,
     /// The activity of the program: its title, unless a manifest groups similar titles.
     pub activity: String,
@@ -42,19 +40,15 @@ pub struct NamedProgram {
 /// Programs for one model, with the training data of the model and of the baselines.
 #[derive(Debug, Clone)]
 pub struct Part {
-    /// The programs of the evaluation.
     pub programs: Vec<NamedProgram>,
     /// The programs of the model's training split, for the nearness of the others; may be empty.
     pub trained: Vec<NamedProgram>,
-    /// The knowledge of the baselines.
     pub statistics: Statistics,
 }
 
-/// The outcome of a forecast.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Target {
-    /// The next object, among the map's labels.
     Object,
     /// The next room, over all cases.
     Room,
@@ -64,12 +58,9 @@ pub enum Target {
     RoomIfChanged,
 }
 
-/// One line of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
-    /// The predictor.
     pub predictor: &'static str,
-    /// The target.
     pub target: Target,
     /// The map; "all" over several.
     pub scene: String,
@@ -97,9 +88,7 @@ pub struct Report {
     pub cases: usize,
     /// Programs evaluated: those with a case in any of the scenes.
     pub programs: usize,
-    /// Programs without a case.
     pub programs_without_case: usize,
-    /// Activities of the evaluated programs.
     pub activities: usize,
     /// Next objects with the label of the last one, which give no cases, over all scenes.
     pub same_label: usize,
@@ -113,7 +102,6 @@ pub struct Report {
     pub computed: usize,
     /// The corrections of the scores; models of different folds may recommend different ones.
     pub corrections: Vec<Correction>,
-    /// The table.
     pub rows: Vec<Row>,
 }
 
@@ -123,7 +111,6 @@ pub struct Near {
     /// Least and greatest nearness: the share of objects that a program has in common with the most similar one of the training split
     /// (Jaccard).
     pub nearness: [f64; 2],
-    /// The number of programs.
     pub programs: usize,
     /// The model's figures minus Kneser-Ney's with its cache.
     pub model_less_kneser_ney_cache: Summary,
@@ -131,18 +118,14 @@ pub struct Near {
     pub by_activity: Summary,
 }
 
-/// Options of the evaluation.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// The window of narration.
     pub history: HistoryLimits,
-    /// The binding sequence.
     pub binding: BindingSequence,
     /// The choices among a label's items; each has a table.
     pub items: Vec<ItemChoice>,
     /// The assumptions of the forecast `model-near`.
     pub forecast: ForecastOptions,
-    /// The seed of the draws of items and of the bootstrap.
     pub seed: u64,
 }
 
@@ -163,15 +146,12 @@ const PREDICTORS: [&str; 12] = [
 const TARGETS: [Target; 4] = [Target::Object, Target::Room, Target::RoomChange, Target::RoomIfChanged];
 
 /// Reads every program below `folder` in the order of their paths; `folder` may be a single file. A household's day is read as one program.
-/// Other files are returned with their faults.
-///
-/// # Errors
-/// When the folder cannot be read or holds no program at all.
-pub fn load_programs(folder: &Path) -> Result<(Vec<NamedProgram>, Vec<String>), ExperimentError> {
+/// Other files are reported with their faults.
+pub fn load_programs(folder: &Path) -> Result<Vec<NamedProgram>, Failure> {
     let mut files = Vec::new();
     let mut waiting = vec![folder.to_owned()];
     while let Some(path) = waiting.pop() {
-        let failed = |source| ExperimentError::Read { path: path.clone(), source };
+        let failed = |error: std::io::Error| Failure::input(format!("failed to read {}: {error}", path.display()));
         if std::fs::metadata(&path).map_err(failed)?.is_dir() {
             for entry in std::fs::read_dir(&path).map_err(failed)? {
                 waiting.push(entry.map_err(failed)?.path());
@@ -193,13 +173,17 @@ pub fn load_programs(folder: &Path) -> Result<(Vec<NamedProgram>, Vec<String>), 
         }
     }
     if programs.is_empty() {
-        return Err(ExperimentError::NoPrograms { path: folder.to_owned(), fault: faults.into_iter().next() });
+        let fault = faults.first().map(|fault| format!(" ({fault})")).unwrap_or_default();
+        return Err(Failure::input(format!(
+            "no activity program in {}{fault}: give a folder of .txt files in VirtualHome's format",
+            folder.display()
+        )));
     }
-    Ok((programs, faults))
+    report_faults(&faults);
+    Ok(programs)
 }
 
 /// A title in the form of manifests and groups of activities.
-#[must_use]
 pub(crate) fn plain_title(title: &str) -> String {
     title.split_whitespace().map(str::to_lowercase).collect::<Vec<_>>().join(" ")
 }
@@ -339,7 +323,7 @@ fn evaluate<M: LanguageModel>(
     (options, items): (&Options, ItemChoice),
     left_out: &mut LeftOut,
     progress: &Progress,
-) -> Result<Groups, ExperimentError> {
+) -> Result<Groups, Failure> {
     let mut binder = Binder::new(map, grounding, items);
     let baselines = Baselines::new(&part.statistics, &mut binder, grounding);
     let mut grounded = GroundedScores::default();
@@ -349,7 +333,7 @@ fn evaluate<M: LanguageModel>(
     let (labels, rooms) = (grounding.scored_labels().len(), grounding.partitions().len());
     let even_labels = vec![1.0 / labels as f64; labels];
     let even_rooms = vec![1.0 / rooms as f64; rooms];
-    let frequency_rooms = rooms_of(baselines.frequency(), grounding, &mut grounded)?;
+    let frequency_rooms = rooms_of(&baselines.frequency, grounding, &mut grounded)?;
     let mut sums = vec![vec![Sums::default(); part.programs.len()]; PREDICTORS.len() * TARGETS.len()];
     let mut mentions = PlaceMatcher::new(map, grounding);
 
@@ -368,7 +352,7 @@ fn evaluate<M: LanguageModel>(
             let near_rooms = listener.forecaster.expected().unwrap_or(&even_rooms).to_vec();
             let model = probabilities(&rows[case.done]);
             let context @ [_, before, last] = case.context.each_ref().map(Option::as_deref);
-            let chain = baselines.kneser_ney(context);
+            let chain = baselines.kneser_ney.after(context);
             let stay_rooms = baselines.stay(case.here, rooms);
             let (visited, in_hand) = (case.visited.as_slice(), case.in_hand);
             // Rooms are those of the labels unless they are given.
@@ -378,11 +362,11 @@ fn evaluate<M: LanguageModel>(
                 (baselines::MODEL_CACHE.mixed(&model, visited, in_hand), None),
                 (baselines::mixture(&model, &chain, visited, in_hand), None),
                 (even_labels.clone(), Some(&even_rooms)),
-                (baselines.frequency().to_vec(), Some(&frequency_rooms)),
+                (baselines.frequency.clone(), Some(&frequency_rooms)),
                 (baselines.markov1(last), None),
                 (baselines.markov2(before, last), None),
                 (chain.clone(), None),
-                (baselines.with_cache(&chain, visited, in_hand), None),
+                (baselines.kneser_ney.with_cache(&chain, visited, in_hand), None),
                 (labels_in(&stay_rooms, grounding), Some(&stay_rooms)),
                 (blind.clone(), Some(&blind_rooms)),
             ];
@@ -462,16 +446,13 @@ fn by_nearness(sums: &Groups, parts: &[Part], of_activity: &[usize], seed: u64) 
 
 /// Evaluates in several maps. `open` gives the source of scores for a part, by its number, and a map's labels. Programs of several parts
 /// are pooled, for example if each part is a fold with another model.
-///
-/// # Errors
-/// When a model, a map or the cache fails, or no case is left.
 pub fn run<M: LanguageModel>(
     maps: &[(SemanticMap, Grounding)],
     parts: &[Part],
     options: &Options,
     progress: &Progress,
-    mut open: impl FnMut(usize, &Grounding) -> Result<ScoreSource<M>, ExperimentError>,
-) -> Result<Report, ExperimentError> {
+    mut open: impl FnMut(usize, &Grounding) -> Result<ScoreSource<M>, Failure>,
+) -> Result<Report, Failure> {
     let mut report = Report::default();
     let of_activity = activities(parts.iter().flat_map(|part| &part.programs));
     let mut unbound: BTreeMap<String, usize> = BTreeMap::new();
@@ -497,7 +478,7 @@ pub fn run<M: LanguageModel>(
         }
         let cases: usize = of_scene.first().map_or(0, |groups| groups[0].iter().map(Sums::len).sum());
         if cases == 0 {
-            return Err(ExperimentError::NothingBound { scene: scene.0.name().to_owned() });
+            return Err(nothing_bound(scene.0.name()));
         }
         report.cases += cases;
         report.add_rows(scene.0.name(), &of_scene, &of_activity, options);
@@ -537,14 +518,11 @@ impl Report {
 }
 
 /// The sentences of actions.
-///
-/// # Errors
-/// When an object's name makes no sentence.
-pub fn sentences(steps: &[Action]) -> Result<Vec<Sentence>, ExperimentError> {
+pub fn sentences(steps: &[Action]) -> Result<Vec<Sentence>, Failure> {
     steps.iter().map(|step| Ok(Sentence::new(&step.sentence())?)).collect()
 }
 
-fn probabilities(log_prob_nats: &[f64]) -> Vec<f64> {
+pub fn probabilities(log_prob_nats: &[f64]) -> Vec<f64> {
     let greatest = log_prob_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let mut labels: Vec<f64> = log_prob_nats.iter().map(|l| (l - greatest).exp()).collect();
     let total: f64 = labels.iter().sum();
@@ -561,7 +539,7 @@ fn without(probabilities: &[f64], outcome: usize) -> Vec<f64> {
     others
 }
 
-fn rooms_of(labels: &[f64], grounding: &Grounding, grounded: &mut GroundedScores) -> Result<Vec<f64>, ExperimentError> {
+fn rooms_of(labels: &[f64], grounding: &Grounding, grounded: &mut GroundedScores) -> Result<Vec<f64>, Failure> {
     // Rounding may leave a probability above one, which is not a log-probability.
     let log_prob_nats: Vec<f64> = labels.iter().map(|p| p.ln().min(0.0)).collect();
     grounding.ground(&log_prob_nats, grounded)?;
@@ -685,22 +663,25 @@ mod tests {
         assert_eq!(report.rows.len(), 84);
         assert_eq!((report.nearness.len(), report.activities), (3, 3));
         assert!(report.nearness.iter().all(|near| near.nearness == [1.0, 1.0]));
-        assert!(report.cases > 40 && report.rows.iter().all(|row| row.summary.nll_nats.is_finite()));
+        assert!(report.cases > 40 && report.rows.iter().all(|row| row.summary.mean.nll_nats.is_finite()));
         let find =
             |predictor, target| report.rows.iter().find(|r| r.predictor == predictor && r.target == target).unwrap();
-        assert_eq!(find("stay", Target::RoomChange).summary.top1, 0.0);
+        assert_eq!(find("stay", Target::RoomChange).summary.mean.top1, 0.0);
         let uniform = find("uniform", Target::Room).summary;
-        assert!((uniform.nll_nats - 3f64.ln()).abs() < 1e-9 && (uniform.top1 - 1.0 / 3.0).abs() < 1e-9);
+        assert!((uniform.mean.nll_nats - 3f64.ln()).abs() < 1e-9 && (uniform.mean.top1 - 1.0 / 3.0).abs() < 1e-9);
         // The thing in hand is not among the next ones.
         let labels = studio().1.scored_labels().len() as f64;
-        let even = find("uniform", Target::Object).summary.nll_nats;
+        let even = find("uniform", Target::Object).summary.mean.nll_nats;
         assert!(even < labels.ln() - 1e-6 && even > (labels - 1.0).ln() - 1e-9);
         // A person who leaves one of three rooms has two left.
         let chance = find("uniform", Target::RoomIfChanged).summary;
-        assert!((chance.nll_nats - 2f64.ln()).abs() < 1e-9 && (chance.top1 - 0.5).abs() < 1e-9);
-        assert!(find("model", Target::RoomIfChanged).summary.top1 >= find("model", Target::RoomChange).summary.top1);
+        assert!((chance.mean.nll_nats - 2f64.ln()).abs() < 1e-9 && (chance.mean.top1 - 0.5).abs() < 1e-9);
+        assert!(
+            find("model", Target::RoomIfChanged).summary.mean.top1
+                >= find("model", Target::RoomChange).summary.mean.top1
+        );
         // Fitted on the evaluated programs, a chain of second order beats one of first order, and that beats frequencies.
-        let nll = |predictor| find(predictor, Target::Object).summary.nll_nats;
+        let nll = |predictor| find(predictor, Target::Object).summary.mean.nll_nats;
         assert!(nll("markov2") <= nll("markov1") && nll("markov1") < nll("frequency"));
         assert!(nll("kneser-ney") < nll("markov1") && nll("kneser-ney-cache") < nll("frequency"));
         assert_eq!(report, run_with(std::slice::from_ref(&part)));

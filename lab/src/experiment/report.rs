@@ -1,34 +1,62 @@
 //! The output folder of an experiment: tables as CSV, charts as SVG and PNG, and one HTML page with all of them.
 
-use std::fmt::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
+
+use roomcast_cli::{CommandResult, Failure};
 
 use super::chart::escape;
 
-/// A table of text.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Table {
     /// Name of its CSV file, without ending.
     pub name: String,
-    /// Its title.
     pub title: String,
-    /// Names of the columns.
     pub header: Vec<String>,
-    /// The rows.
     pub rows: Vec<Vec<String>>,
 }
 
+/// The head of a column, and its cell in a row.
+pub type Column<'c, R> = (&'c str, &'c dyn Fn(&R) -> String);
+
 impl Table {
-    /// An empty table.
-    #[must_use]
-    pub fn new(name: &str, title: &str, header: &[&str]) -> Self {
-        let header = header.iter().map(|h| (*h).to_owned()).collect();
+    pub fn new<H: Into<String>>(name: &str, title: &str, header: impl IntoIterator<Item = H>) -> Self {
+        let header = header.into_iter().map(Into::into).collect();
         Self { name: name.to_owned(), title: title.to_owned(), header, rows: Vec::new() }
     }
 
+    pub fn of<'r, R: 'r>(
+        name: &str,
+        title: &str,
+        rows: impl IntoIterator<Item = &'r R>,
+        columns: &[Column<'_, R>],
+    ) -> Self {
+        let mut table = Self::new(name, title, columns.iter().map(|(head, _)| *head));
+        table.rows = rows.into_iter().map(|row| columns.iter().map(|(_, cell)| cell(row)).collect()).collect();
+        table
+    }
+
+    fn lines(&self) -> impl Iterator<Item = &Vec<String>> {
+        std::iter::once(&self.header).chain(&self.rows)
+    }
+
+    pub fn text(&self) -> String {
+        let mut table = roomcast_cli::table(&self.header.iter().map(String::as_str).collect::<Vec<_>>());
+        table.add_rows(&self.rows);
+        table.to_string()
+    }
+
+    pub fn markdown(&self) -> String {
+        let line = |cells: &Vec<String>| {
+            let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
+            format!("| {} |", cells.join(" | "))
+        };
+        let mut lines: Vec<String> = self.lines().map(line).collect();
+        lines.insert(1, format!("|{}", " --- |".repeat(self.header.len())));
+        lines.join("\n")
+    }
+
     /// Comma-separated values (RFC 4180).
-    #[must_use]
-    pub fn csv(&self) -> String {
+    fn csv(&self) -> String {
         let field = |text: &String| {
             if text.contains([',', '"', '\n', '\r']) {
                 format!("\"{}\"", text.replace('"', "\"\""))
@@ -36,100 +64,71 @@ impl Table {
                 text.clone()
             }
         };
-        let line = |cells: &Vec<String>| cells.iter().map(field).collect::<Vec<_>>().join(",") + "\n";
-        std::iter::once(&self.header).chain(&self.rows).map(line).collect()
+        self.lines().map(|cells| cells.iter().map(field).collect::<Vec<_>>().join(",") + "\n").collect()
     }
 
     fn html(&self) -> String {
-        let mut html = format!("<h2>{}</h2><div class=\"table\"><table><tr>", escape(&self.title));
-        for name in &self.header {
-            // Writing to a string cannot fail.
-            let _ = write!(html, "<th>{}</th>", escape(name));
-        }
-        html.push_str("</tr>");
-        for row in &self.rows {
-            html.push_str("<tr>");
-            for cell in row {
-                let _ = write!(html, "<td>{}</td>", escape(cell));
-            }
-            html.push_str("</tr>");
-        }
-        html + "</table></div>"
+        let line = |cells: &Vec<String>, tag: &str| {
+            let cells: String = cells.iter().map(|cell| format!("<{tag}>{}</{tag}>", escape(cell))).collect();
+            format!("<tr>{cells}</tr>")
+        };
+        let rows: String = self.rows.iter().map(|row| line(row, "td")).collect();
+        let (title, header) = (escape(&self.title), line(&self.header, "th"));
+        format!("<h2>{title}</h2><div class=\"table\"><table>{header}{rows}</table></div>")
     }
 }
 
-/// The report of one experiment.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Report {
-    /// The page's title.
     pub title: String,
     /// Paragraphs about method and result.
     pub notes: Vec<String>,
-    /// Tables.
     pub tables: Vec<Table>,
     /// Names of files, without ending, and SVG text.
     pub figures: Vec<(String, String)>,
 }
 
-/// A report that could not be written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ReportError {
-    /// A file could not be written.
-    #[error("failed to write {path}: {source}; choose another folder with --out")]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// A figure could not become a PNG.
-    #[cfg(feature = "png")]
-    #[error(transparent)]
-    Png(#[from] roomcast_simulation::png::PngError),
-}
-
 impl Report {
     /// The page with all figures inside, as a single file.
-    #[must_use]
     pub fn html(&self) -> String {
         let title = escape(&self.title);
-        let mut html = format!(
+        let notes: String = self.notes.iter().map(|note| format!("<p>{}</p>", escape(note))).collect();
+        let figures: String = self.figures.iter().map(|(_, svg)| format!("<figure>{svg}</figure>")).collect();
+        let tables: String = self.tables.iter().map(Table::html).collect();
+        format!(
             "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-             <title>{title}</title><style>{STYLE}</style></head><body><h1>{title}</h1>"
-        );
-        for note in &self.notes {
-            let _ = write!(html, "<p>{}</p>", escape(note));
-        }
-        for (_, svg) in &self.figures {
-            let _ = write!(html, "<figure>{svg}</figure>");
-        }
-        self.tables.iter().for_each(|table| html += &table.html());
-        html + "</body></html>\n"
+             <title>{title}</title><style>{STYLE}</style></head><body><h1>{title}</h1>{notes}{figures}{tables}</body></html>\n"
+        )
+    }
+
+    pub fn text(&self) -> String {
+        let tables = self.tables.iter().map(|table| format!("\n{}\n{}\n", table.title, table.text()));
+        format!("{}\n{}\n", tables.collect::<String>(), self.notes.join("\n"))
     }
 
     /// Writes every file into `folder`, which is created if it is missing.
-    ///
-    /// # Errors
-    /// When the disk refuses or a figure cannot be rendered.
-    pub fn write(&self, folder: &Path) -> Result<(), ReportError> {
+    pub fn write(&self, folder: &Path) -> CommandResult {
         let put = |name: &str, bytes: &[u8]| {
             let path = folder.join(name);
-            require_file(&path)
-                .and_then(|()| std::fs::write(&path, bytes))
-                .map_err(|source| ReportError::Write { path, source })
+            require_file(&path).and_then(|()| std::fs::write(&path, bytes)).map_err(|error| unwritten(&path, &error))
         };
-        std::fs::create_dir_all(folder).map_err(|source| ReportError::Write { path: folder.to_owned(), source })?;
+        std::fs::create_dir_all(folder).map_err(|error| unwritten(folder, &error))?;
         for table in &self.tables {
             put(&format!("{}.csv", table.name), table.csv().as_bytes())?;
         }
         for (name, svg) in &self.figures {
             put(&format!("{name}.svg"), svg.as_bytes())?;
             #[cfg(feature = "png")]
-            put(&format!("{name}.png"), &roomcast_simulation::png::png(svg, 2.0)?)?;
+            put(&format!("{name}.png"), &roomcast_simulation::png::png(svg, 2.0).map_err(Failure::failed)?)?;
         }
-        put("report.html", self.html().as_bytes())
+        put("report.html", self.html().as_bytes())?;
+        roomcast_cli::tell(format_args!("roomcast: wrote {}", folder.join("report.html").display()));
+        Ok(())
     }
+}
+
+fn unwritten(path: &Path, error: &std::io::Error) -> Failure {
+    Failure::failed(format!("failed to write {}: {error}; choose another folder with --out", path.display()))
 }
 
 /// Rejects the place of a symbolic link, a FIFO or a device: a link may lead out of the folder, and a FIFO blocks.
@@ -153,7 +152,7 @@ mod tests {
 
     #[test]
     fn a_report_is_one_page_and_its_parts() {
-        let mut table = Table::new("numbers", "Numbers & more", &["name", "value"]);
+        let mut table = Table::new("numbers", "Numbers & more", ["name", "value"]);
         table.rows.push(vec!["a, \"b\"".into(), "<1>".into()]);
         let series = vec![Series { name: "s".into(), points: vec![(0.0, 0.0), (1.0, 1.0)], mark: Mark::Line }];
         let chart = Chart { title: "t".into(), x: "x".into(), y: "y".into(), series };
@@ -173,7 +172,8 @@ mod tests {
         // A link is not followed.
         std::fs::rename(folder.path().join("out/chart.svg"), folder.path().join("victim")).unwrap();
         std::os::unix::fs::symlink("../victim", folder.path().join("out/chart.svg")).unwrap();
-        assert!(matches!(report.write(&folder.path().join("out")), Err(ReportError::Write { .. })));
+        let failure = report.write(&folder.path().join("out")).unwrap_err();
+        assert!(failure.to_string().contains("chart.svg: it is no plain file"), "{failure}");
         let html = String::from_utf8(read("report.html")).unwrap();
         assert!(html.contains("Numbers &amp; more") && html.contains("&lt;1&gt;") && html.contains("<svg"));
         assert!(

@@ -9,11 +9,11 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use super::chart::{Chart, Mark, Series};
+use super::chart::{Mark, Series};
 use super::losses::RESAMPLES;
-use super::report::Table;
+use super::report::{Column, Table};
 use super::resampling::{ci95, drawn};
-use super::tables::{PaperRow, mixed};
+use super::tables::{PaperRow, coverage_chart, front_series, mixed};
 use roomcast_core::policy::PolicyName;
 use roomcast_simulation::binding::ItemChoice;
 use roomcast_simulation::study::{Cell, Decider};
@@ -21,7 +21,6 @@ use roomcast_simulation::study::{Cell, Decider};
 /// The choices that the paper leaves open.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Setup {
-    /// The choice among several things of a kind.
     pub items: &'static str,
     /// Longest time of one act before stretching, in seconds.
     pub longest_act_s: f64,
@@ -29,11 +28,16 @@ pub struct Setup {
     pub window: Option<usize>,
 }
 
+impl Setup {
+    fn window(self) -> String {
+        self.window.map_or_else(|| "all".to_owned(), |window| window.to_string())
+    }
+}
+
 /// A share with its 95 % interval by bootstrap over homes, over activities, and over models if there are several, each drawn separately: an
 /// activity behaves alike in all homes (Owen, 2007, the pigeonhole bootstrap).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Share {
-    /// The share.
     pub value: f64,
     /// Low and high.
     pub ci95: [f64; 2],
@@ -45,13 +49,9 @@ pub struct SetupRow {
     /// The set-up.
     #[serde(flatten)]
     pub setup: Setup,
-    /// The number of pooled models.
     pub models: usize,
-    /// The decider.
     pub policy: String,
-    /// Mean D_T in seconds.
     pub disturbance_mean: f64,
-    /// F.
     pub failure_rate: Share,
     /// The reduction of disturbance relative to the naive policy.
     pub less: Share,
@@ -89,38 +89,29 @@ struct Totals {
     of: Vec<Vec<Total>>,
 }
 
-/// The number of a name; a new name gets the next one.
-fn number_of<'a>(known: &mut Vec<&'a str>, name: &'a str) -> usize {
-    known.iter().position(|other| *other == name).unwrap_or_else(|| {
-        known.push(name);
+/// The number of a value among the known ones; a new one gets the next number.
+fn number_of<T: PartialEq>(known: &mut Vec<T>, one: T) -> usize {
+    known.iter().position(|other| *other == one).unwrap_or_else(|| {
+        known.push(one);
         known.len() - 1
     })
 }
 
 impl Totals {
     fn new(cells: &[Cell]) -> Self {
-        let (mut deciders, mut pairs, mut of): (Vec<Decider>, Vec<[usize; 2]>, Vec<Vec<Total>>) = Default::default();
+        let (mut deciders, mut pairs, mut of) = (Vec::new(), Vec::new(), Vec::new());
         let (mut homes, mut activities) = (Vec::new(), Vec::new());
         for cell in cells {
             let pair = [number_of(&mut homes, &cell.scene), number_of(&mut activities, &cell.program)];
-            let at = pairs.iter().position(|known| *known == pair).unwrap_or(pairs.len());
-            if at == pairs.len() {
-                pairs.push(pair);
-            }
-            let decider = deciders.iter().position(|known| *known == cell.decider).unwrap_or(deciders.len());
-            if decider == deciders.len() {
-                deciders.push(cell.decider);
-                of.push(Vec::new());
-            }
+            let (decider, at) = (number_of(&mut deciders, cell.decider), number_of(&mut pairs, pair));
+            of.resize(deciders.len(), Vec::new());
             of[decider].resize(pairs.len(), Total::default());
-            of[decider][at].add(
-                &Total {
-                    runs: cell.runs.len() as f64,
-                    disturbance_s: cell.runs.iter().map(|run| run.disturbance_s).sum(),
-                    failures: cell.runs.iter().filter(|run| run.coverage_s.is_none()).count() as f64,
-                },
-                1.0,
-            );
+            let one = Total {
+                runs: cell.runs.len() as f64,
+                disturbance_s: cell.runs.iter().map(|run| run.disturbance_s).sum(),
+                failures: cell.runs.iter().filter(|run| run.coverage_s.is_none()).count() as f64,
+            };
+            of[decider][at].add(&one, 1.0);
         }
         Self { deciders, pairs, of }
     }
@@ -130,58 +121,59 @@ impl Totals {
     }
 }
 
+/// F and mean D_T of each decider.
+type Points = Vec<(Decider, (f64, f64))>;
+
+/// Pools models, with each pair of home and activity so many times.
+fn points<'t>(models: impl Iterator<Item = &'t Totals> + Clone, times: &[f64]) -> Points {
+    let deciders = models.clone().next().map_or(&[][..], |first| &first.deciders);
+    let of_decider = |(index, decider): (usize, &Decider)| {
+        let mut sum = Total::default();
+        for model in models.clone() {
+            model.of[index].iter().zip(times).for_each(|(one, times)| sum.add(one, *times));
+        }
+        (*decider, sum.point())
+    };
+    deciders.iter().enumerate().map(of_decider).collect()
+}
+
 /// The figures of a decider: F, D_T relative to the naive policy's, and the same at the naive policy's F.
-fn shown(points: &[(Decider, (f64, f64))], decider: Decider) -> [f64; 3] {
+fn shown(points: &Points, decider: Decider) -> [f64; 3] {
     let find = |wanted: Decider| points.iter().find(|(other, _)| *other == wanted).map(|(_, point)| *point);
     let (naive_f, naive_s) = find(Decider::Policy(PolicyName::Naive)).unwrap_or_default();
     let own = find(decider).unwrap_or_default();
-    let candidates: Vec<(f64, f64, f64)> = match decider {
-        Decider::Policy(PolicyName::CoverageAware) => {
-            let front =
-                points.iter().filter(|(other, _)| matches!(other, Decider::CoverageAware(_)) || *other == decider);
-            front.map(|(_, (f, d))| (0.0, *f, *d)).collect()
-        }
-        _ => [Some(own), find(Decider::Policy(PolicyName::UncoveredFirst))]
-            .into_iter()
-            .flatten()
-            .map(|(f, d)| (0.0, f, d))
-            .collect(),
+    let is_planned = decider == Decider::Policy(PolicyName::CoverageAware);
+    let candidates: Vec<(f64, f64)> = if is_planned {
+        let front = points.iter().filter(|(other, _)| matches!(other, Decider::CoverageAware(_)) || *other == decider);
+        front.map(|(_, point)| *point).collect()
+    } else {
+        std::iter::once(own).chain(find(Decider::Policy(PolicyName::UncoveredFirst))).collect()
     };
     // A decider that fails less often than the naive policy gains nothing from more failures.
-    let at_naive_s = if own.0 <= naive_f && !matches!(decider, Decider::Policy(PolicyName::CoverageAware)) {
-        own.1
-    } else {
-        mixed(&candidates, naive_f).unwrap_or(own.1)
-    };
+    let gains = own.0 > naive_f || is_planned;
+    let at_naive_s = if gains { mixed(&candidates, naive_f).unwrap_or(own.1) } else { own.1 };
     let less = |s: f64| if naive_s > 0.0 { 1.0 - s / naive_s } else { 0.0 };
     [own.0, less(own.1), less(at_naive_s)]
 }
 
 /// The rows of one set-up; `models` are the cells of each model, for the same homes in the same order. Coverage-aware avoidance has a row
 /// only for its default weight.
-#[must_use]
 pub fn rows(setup: Setup, models: &[Vec<Cell>], seed: u64) -> Vec<SetupRow> {
     let totals: Vec<Totals> = models.iter().map(|cells| Totals::new(cells)).collect();
     let Some(first) = totals.first() else { return Vec::new() };
-    let points = |[models, homes, activities]: &[Vec<usize>; 3]| -> Option<Vec<(Decider, (f64, f64))>> {
+    let drawn_points = |[models, homes, activities]: &[Vec<usize>; 3]| {
         let drawn = |of: &[usize], one: usize| of.iter().filter(|other| **other == one).count() as f64;
         let times: Vec<f64> =
             first.pairs.iter().map(|[home, activity]| drawn(homes, *home) * drawn(activities, *activity)).collect();
-        let of_decider = |(index, decider): (usize, &Decider)| {
-            let mut sum = Total::default();
-            for model in models {
-                totals[*model].of[index].iter().zip(&times).for_each(|(one, times)| sum.add(one, *times));
-            }
-            (*decider, sum.point())
-        };
         // The draw may contain only homes and activities without a common cell.
-        times.iter().any(|times| *times > 0.0).then(|| first.deciders.iter().enumerate().map(of_decider).collect())
+        let any = times.iter().any(|times| *times > 0.0);
+        any.then(|| points(models.iter().map(|model| &totals[*model]), &times))
     };
     let every: [Vec<usize>; 3] = [totals.len(), first.count(0), first.count(1)].map(|count| (0..count).collect());
-    let Some(all) = points(&every) else { return Vec::new() };
+    let Some(all) = drawn_points(&every) else { return Vec::new() };
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let samples: Vec<_> =
-        (0..RESAMPLES).filter_map(|_| points(&every.each_ref().map(|of| drawn(of, &mut rng)))).collect();
+        (0..RESAMPLES).filter_map(|_| drawn_points(&every.each_ref().map(|of| drawn(of, &mut rng)))).collect();
     let named = first.deciders.iter().filter(|decider| !matches!(decider, Decider::CoverageAware(_)));
     let row = |decider: &Decider| {
         let values = shown(&all, *decider);
@@ -211,70 +203,37 @@ fn paper<'p>(row: &SetupRow, papers: &'p [PaperRow]) -> Option<&'p PaperRow> {
 }
 
 /// The rows as a table; `papers` are the paper's, empty if homes and robot differ.
-#[must_use]
 pub fn table(rows: &[SetupRow], papers: &[PaperRow]) -> Table {
-    let header = [
-        "things",
-        "longest act (s)",
-        "window",
-        "models",
-        "policy",
-        "D_T (s)",
-        "F",
-        "less than naive",
-        "less at naive's F",
-        "paper: D_T (s), F",
-    ];
-    let mut table = Table::new("setups", "Under every set-up", &header);
     let share = |share: &Share| {
         let [low, high] = share.ci95;
         format!("{:.1} % [{:.1}, {:.1}]", 100.0 * share.value, 100.0 * low, 100.0 * high)
     };
-    table.rows = rows
-        .iter()
-        .map(|row| {
-            vec![
-                row.setup.items.to_owned(),
-                row.setup.longest_act_s.to_string(),
-                row.setup.window.map_or_else(|| "all".to_owned(), |window| window.to_string()),
-                row.models.to_string(),
-                row.policy.clone(),
-                format!("{:.1}", row.disturbance_mean),
-                share(&row.failure_rate),
-                share(&row.less),
-                share(&row.less_at_naive_failures),
-                paper(row, papers)
-                    .map_or_else(String::new, |p| format!("{}, {:.1} %", p.disturbance_mean, 100.0 * p.failure_rate)),
-            ]
-        })
-        .collect();
-    table
+    let of_paper = |p: &PaperRow| format!("{}, {:.1} %", p.disturbance_mean, 100.0 * p.failure_rate);
+    let columns: [Column<'_, SetupRow>; 10] = [
+        ("things", &|row| row.setup.items.to_owned()),
+        ("longest act (s)", &|row| row.setup.longest_act_s.to_string()),
+        ("window", &|row| row.setup.window()),
+        ("models", &|row| row.models.to_string()),
+        ("policy", &|row| row.policy.clone()),
+        ("D_T (s)", &|row| format!("{:.1}", row.disturbance_mean)),
+        ("F", &|row| share(&row.failure_rate)),
+        ("less than naive", &|row| share(&row.less)),
+        ("less at naive's F", &|row| share(&row.less_at_naive_failures)),
+        ("paper: D_T (s), F", &|row| paper(row, papers).map_or_else(String::new, of_paper)),
+    ];
+    Table::of("setups", "Under every set-up", rows, &columns)
 }
 
 /// Disturbance against failed coverage over all cells of a set-up: coverage-aware avoidance by its weight, and each other policy mixed with
 /// `uncovered-first`.
-#[must_use]
 pub fn curves(setup: Setup, cells: &[Cell]) -> (String, String) {
     let totals = Totals::new(cells);
-    let points: Vec<(Decider, (f64, f64))> = totals
-        .deciders
-        .iter()
-        .zip(&totals.of)
-        .map(|(decider, homes)| {
-            let mut sum = Total::default();
-            homes.iter().for_each(|home| sum.add(home, 1.0));
-            (*decider, sum.point())
-        })
-        .collect();
+    let points = points(std::iter::once(&totals), &vec![1.0; totals.pairs.len()]);
     let shown = |(f, d): (f64, f64)| (100.0 * f, d);
     let covers = points.iter().find(|(decider, _)| *decider == Decider::Policy(PolicyName::UncoveredFirst));
-    let mut front: Vec<(f64, f64)> = points
-        .iter()
-        .filter(|(decider, _)| matches!(decider, Decider::CoverageAware(_)))
-        .map(|(_, point)| shown(*point))
-        .collect();
-    front.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut series = vec![Series { name: "coverage-aware, by weight".into(), points: front, mark: Mark::Line }];
+    let is_front = |decider: &Decider| matches!(decider, Decider::CoverageAware(_));
+    let front = points.iter().filter(|(decider, _)| is_front(decider)).map(|(_, point)| shown(*point));
+    let mut series = vec![front_series(front.collect())];
     for (decider, point) in &points {
         if matches!(decider, Decider::CoverageAware(_) | Decider::Clairvoyant) {
             continue;
@@ -285,14 +244,13 @@ pub fn curves(setup: Setup, cells: &[Cell]) -> (String, String) {
         let mark = if points.len() > 1 { Mark::Line } else { Mark::Points };
         series.push(Series { name: decider.name(), points, mark });
     }
-    let window = setup.window.map_or_else(|| "all".to_owned(), |window| window.to_string());
+    let window = setup.window();
     let name = format!("curves-{}-{}-{window}", setup.items, setup.longest_act_s);
     let title = format!(
         "Disturbance at a share of failures: {} things, acts up to {} s, window {window}",
         setup.items, setup.longest_act_s
     );
-    let chart = Chart { title, x: "runs without full coverage (%)".into(), y: "mean D_T (s)".into(), series };
-    (name, chart.svg())
+    (name, coverage_chart(title, series).svg())
 }
 
 #[cfg(test)]

@@ -3,25 +3,20 @@
 use serde::Serialize;
 
 use super::chart::{Chart, Mark, Series, histogram};
-use super::report::{Report, Table};
+use super::distinct;
+use super::report::{Column, Report, Table};
 use roomcast_core::policy::PolicyName;
 use roomcast_simulation::clairvoyant::{Optimum, bound_s};
 use roomcast_simulation::study::{Cell, Decider, Figures, HorizonRow, figures};
 
-/// A row of the paper's tables.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PaperRow {
-    /// Policy or prompt.
     pub name: &'static str,
-    /// Mean D_T.
     pub disturbance_mean: f64,
-    /// Deviation of D_T.
     pub disturbance_std: f64,
     /// Mean t_c; Table I has none.
     pub coverage_time_mean: Option<f64>,
-    /// Deviation of t_c.
     pub coverage_time_std: Option<f64>,
-    /// F.
     pub failure_rate: f64,
 }
 
@@ -66,25 +61,6 @@ pub const DIFFERENCES: &str = "What differs from the paper: its apartments, prog
     timelines are stretched. The paper asks a general language model; these figures are of the model named above. As in the paper, \
     the robot begins in a random room, moves in no time, and may return to rooms that are done; t_c is the mean over runs that covered.";
 
-const COLUMNS: [&str; 16] = [
-    "scene",
-    "program",
-    "T_r (s)",
-    "policy",
-    "runs",
-    "D_T mean (s)",
-    "D_T std (s)",
-    "t_c mean (s)",
-    "t_c std (s)",
-    "F",
-    "D_T <, =, > naive",
-    "t_c <, =, > naive",
-    "bound (s)",
-    "regret (s)",
-    "paper D_T",
-    "paper t_c, F",
-];
-
 /// Figures by cell, and pooled by decider.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Table2 {
@@ -102,28 +78,22 @@ fn of(cells: &[Cell], decider: Decider) -> Vec<&Cell> {
 
 /// In the order of their first cells.
 fn deciders(cells: &[Cell]) -> Vec<Decider> {
-    let mut found = Vec::new();
-    for cell in cells {
-        if !found.contains(&cell.decider) {
-            found.push(cell.decider);
-        }
-    }
-    found
+    distinct(cells.iter().map(|cell| cell.decider))
+}
+
+fn is_same(one: &Cell, other: &Cell) -> bool {
+    (&one.scene, &one.program, one.room_time_s) == (&other.scene, &other.program, other.room_time_s)
 }
 
 const NAIVE: Decider = Decider::Policy(PolicyName::Naive);
 
 /// Summarises cells as Table II does; `paper` are its rows, if the set-up is the paper's.
-#[must_use]
 pub fn table2(cells: &[Cell], paper: &[PaperRow]) -> Table2 {
     let naive = of(cells, NAIVE);
-    let same = |cell: &Cell| {
-        naive
-            .iter()
-            .find(|n| (&n.scene, &n.program, n.room_time_s) == (&cell.scene, &cell.program, cell.room_time_s))
-            .copied()
-    };
-    let rows = cells.iter().map(|cell| figures(&[cell], same(cell).map(|n| [n]).as_ref().map(<[_; 1]>::as_slice)));
+    let rows = cells.iter().map(|cell| {
+        let same = naive.iter().find(|naive| is_same(cell, naive));
+        figures(&[cell], same.map(std::slice::from_ref))
+    });
     let overall = deciders(cells).into_iter().map(|decider| figures(&of(cells, decider), Some(&naive)));
     Table2 { rows: rows.collect(), overall: overall.collect(), paper: paper.to_vec() }
 }
@@ -136,49 +106,44 @@ fn number(value: Option<f64>) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.1}"))
 }
 
-fn cells_of(row: &Figures, papers: &[PaperRow]) -> Vec<String> {
-    let all = row.scene == "all" || row.room_time_s == 0;
-    let paper = papers.iter().find(|paper| all && paper.name == row.policy);
-    let room_time = if row.room_time_s == 0 { "all".to_owned() } else { row.room_time_s.to_string() };
-    let mut cells = vec![
-        row.scene.clone(),
-        row.program.clone(),
-        room_time,
-        row.policy.clone(),
-        row.restarts.to_string(),
-        format!("{:.1}", row.disturbance_mean),
-        format!("{:.1}", row.disturbance_std),
-        number(row.coverage_time_mean),
-        number(row.coverage_time_std),
-        percent(row.failure_rate),
-        shares(row.disturbance_against_naive),
-        shares(row.coverage_time_against_naive),
-        number(row.bound_s),
-        number(row.regret_s),
-    ];
-    if !papers.is_empty() {
-        let time = |p: &PaperRow| format!("{} ± {}", number(p.coverage_time_mean), number(p.coverage_time_std));
-        cells.push(paper.map(|p| format!("{} ± {}", p.disturbance_mean, p.disturbance_std)).unwrap_or_default());
-        cells.push(paper.map(|p| format!("{}, {}", time(p), percent(p.failure_rate))).unwrap_or_default());
-    }
-    cells
-}
-
 fn percent(share: f64) -> String {
     format!("{:.1} %", 100.0 * share)
 }
 
 /// Rows as a table for people and CSV, next to the paper's if there are any.
-#[must_use]
-pub fn table_of(name: &str, title: &str, rows: &[Figures], paper: &[PaperRow]) -> Table {
-    let columns = if paper.is_empty() { COLUMNS.len() - 2 } else { COLUMNS.len() };
-    let mut table = Table::new(name, title, &COLUMNS[..columns]);
-    table.rows = rows.iter().map(|row| cells_of(row, paper)).collect();
-    table
+pub fn table_of(name: &str, title: &str, rows: &[Figures], papers: &[PaperRow]) -> Table {
+    let paper = |row: &Figures| {
+        let all = row.scene == "all" || row.room_time_s == 0;
+        papers.iter().find(|paper| all && paper.name == row.policy)
+    };
+    let time = |p: &PaperRow| format!("{} ± {}", number(p.coverage_time_mean), number(p.coverage_time_std));
+    let columns: [Column<'_, Figures>; 16] = [
+        ("scene", &|row| row.scene.clone()),
+        ("program", &|row| row.program.clone()),
+        ("T_r (s)", &|row| if row.room_time_s == 0 { "all".to_owned() } else { row.room_time_s.to_string() }),
+        ("policy", &|row| row.policy.clone()),
+        ("runs", &|row| row.restarts.to_string()),
+        ("D_T mean (s)", &|row| format!("{:.1}", row.disturbance_mean)),
+        ("D_T std (s)", &|row| format!("{:.1}", row.disturbance_std)),
+        ("t_c mean (s)", &|row| number(row.coverage_time_mean)),
+        ("t_c std (s)", &|row| number(row.coverage_time_std)),
+        ("F", &|row| percent(row.failure_rate)),
+        ("D_T <, =, > naive", &|row| shares(row.disturbance_against_naive)),
+        ("t_c <, =, > naive", &|row| shares(row.coverage_time_against_naive)),
+        ("bound (s)", &|row| number(row.bound_s)),
+        ("regret (s)", &|row| number(row.regret_s)),
+        ("paper D_T", &|row| {
+            paper(row).map(|p| format!("{} ± {}", p.disturbance_mean, p.disturbance_std)).unwrap_or_default()
+        }),
+        ("paper t_c, F", &|row| {
+            paper(row).map(|p| format!("{}, {}", time(p), percent(p.failure_rate))).unwrap_or_default()
+        }),
+    ];
+    let shown = if papers.is_empty() { columns.len() - 2 } else { columns.len() };
+    Table::of(name, title, rows, &columns[..shown])
 }
 
 /// The reduction of each decider's disturbance relative to the naive policy, in words.
-#[must_use]
 pub fn headline(overall: &[Figures]) -> String {
     let Some(naive) = overall.iter().find(|row| row.policy == PolicyName::Naive.as_str()) else { return String::new() };
     let others = overall.iter().filter(|row| row.policy != naive.policy).map(|row| {
@@ -193,28 +158,22 @@ pub fn headline(overall: &[Figures]) -> String {
 }
 
 /// Histograms of D_T by decider, as in the paper's Figures 4 and 5, over all cells and by T_r.
-#[must_use]
 pub fn histograms(cells: &[Cell]) -> Vec<(String, String)> {
     let mut room_times: Vec<usize> = cells.iter().map(|cell| cell.room_time_s).collect();
     room_times.sort_unstable();
     room_times.dedup();
     let chart = |title: String, keep: &dyn Fn(&Cell) -> bool| {
-        let of_decider = |decider: Decider| {
-            let runs = of(cells, decider).into_iter().filter(|cell| keep(cell)).flat_map(|cell| &cell.runs);
-            let values: Vec<f64> = runs.map(|run| run.disturbance_s).collect();
-            values
+        let values = |cells: &[&Cell]| -> Vec<f64> {
+            let runs = cells.iter().filter(|cell| keep(cell)).flat_map(|cell| &cell.runs);
+            runs.map(|run| run.disturbance_s).collect()
         };
-        let greatest =
-            cells.iter().filter(|cell| keep(cell)).flat_map(|c| &c.runs).map(|r| r.disturbance_s).fold(1.0, f64::max);
+        let greatest = values(&cells.iter().collect::<Vec<_>>()).into_iter().fold(1.0, f64::max);
         let bin = (greatest / 30.0).ceil();
-        let series = deciders(cells)
-            .into_iter()
-            .map(|decider| Series {
-                name: decider.name(),
-                points: histogram(&of_decider(decider), bin),
-                mark: Mark::Steps,
-            })
-            .collect();
+        let series = deciders(cells).into_iter().map(|decider| {
+            let points = histogram(&values(&of(cells, decider)), bin);
+            Series { name: decider.name(), points, mark: Mark::Steps }
+        });
+        let series = series.collect();
         Chart { title, x: "D_T (s)".into(), y: "share of runs".into(), series }.svg()
     };
     let mut charts = vec![("disturbance".to_owned(), chart("Disturbance over all cells".into(), &|_| true))];
@@ -228,17 +187,11 @@ pub fn histograms(cells: &[Cell]) -> Vec<(String, String)> {
 /// Whether the front of coverage-aware avoidance dominates a policy's point in one cell.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Domination {
-    /// The map.
     pub scene: String,
-    /// The activity.
     pub program: String,
-    /// T_r.
     pub room_time_s: usize,
-    /// The policy.
     pub policy: String,
-    /// Its mean D_T.
     pub disturbance_mean: f64,
-    /// Its F.
     pub failure_rate: f64,
     /// The weight with a point that is at least as good in both and better in one, if there is one.
     pub weight_s: Option<f64>,
@@ -251,29 +204,23 @@ pub struct Domination {
 }
 
 /// Compares the front with the naive and informed points in every cell.
-#[must_use]
 pub fn domination(cells: &[Cell]) -> Vec<Domination> {
     let mut found = Vec::new();
     for name in [PolicyName::Naive, PolicyName::InformedAvoidance] {
         for base in of(cells, Decider::Policy(name)) {
-            let here = |cell: &&Cell| {
-                (&cell.scene, &cell.program, cell.room_time_s) == (&base.scene, &base.program, base.room_time_s)
-            };
             let point = figures(&[base], None);
-            let front: Vec<(f64, f64, f64)> = cells
-                .iter()
-                .filter(here)
-                .filter_map(|cell| {
-                    let Decider::CoverageAware(weight_s) = cell.decider else { return None };
-                    let row = figures(&[cell], None);
-                    Some((weight_s, row.failure_rate, row.disturbance_mean))
-                })
-                .collect();
-            let better = |f: f64, d: f64| {
+            // Weight, F and D_T.
+            let front = cells.iter().filter(|cell| is_same(cell, base)).filter_map(|cell| {
+                let Decider::CoverageAware(weight_s) = cell.decider else { return None };
+                let row = figures(&[cell], None);
+                Some((weight_s, (row.failure_rate, row.disturbance_mean)))
+            });
+            let (weights_s, front): (Vec<f64>, Vec<(f64, f64)>) = front.unzip();
+            let better = |(f, d): &(f64, f64)| {
                 let (f_gain, d_gain) = (point.failure_rate - f, point.disturbance_mean - d);
                 f_gain >= -1e-9 && d_gain >= -1e-9 && f_gain + d_gain > 1e-9
             };
-            let single = front.iter().find(|(_, f, d)| better(*f, *d)).map(|(weight_s, ..)| *weight_s);
+            let single = front.iter().position(better).map(|at| weights_s[at]);
             let front_s = mixed(&front, point.failure_rate);
             let verdict = match (single, front_s, point.regret_s) {
                 (Some(_), ..) => "dominated",
@@ -298,27 +245,28 @@ pub fn domination(cells: &[Cell]) -> Vec<Domination> {
     found
 }
 
-/// The least D of two points of a front, mixed so that F is at most `failure_rate`.
-pub(super) fn mixed(front: &[(f64, f64, f64)], failure_rate: f64) -> Option<f64> {
-    let mut best = None::<f64>;
-    for (_, f0, d0) in front {
-        for (_, f1, d1) in front {
-            let d = if *f0 <= failure_rate && *f1 <= failure_rate {
-                d0.min(*d1)
-            } else if *f0 <= failure_rate && *f1 > failure_rate {
-                let share = (failure_rate - f0) / (f1 - f0);
-                d0 + share * (d1 - d0)
-            } else {
-                continue;
-            };
-            best = Some(best.map_or(d, |best| best.min(d)));
-        }
-    }
-    best
+/// The least D of two points (F, D) of a front, mixed so that F is at most `failure_rate`.
+pub fn mixed(front: &[(f64, f64)], failure_rate: f64) -> Option<f64> {
+    let within = front.iter().filter(|(f, _)| *f <= failure_rate);
+    let pairs = within.flat_map(|own| front.iter().map(move |other| (own, other)));
+    let mixed = pairs.map(|((f0, d0), (f1, d1))| match *f1 <= failure_rate {
+        true => d0.min(*d1),
+        false => d0 + (failure_rate - f0) / (f1 - f0) * (d1 - d0),
+    });
+    mixed.reduce(f64::min)
+}
+
+/// Coverage-aware avoidance: points of failures in percent and disturbance in seconds.
+pub fn front_series(mut points: Vec<(f64, f64)>) -> Series {
+    points.sort_by(|a, b| a.0.total_cmp(&b.0));
+    Series { name: "coverage-aware, by weight".into(), points, mark: Mark::Line }
+}
+
+pub fn coverage_chart(title: String, series: Vec<Series>) -> Chart {
+    Chart { title, x: "runs without full coverage (%)".into(), y: "mean D_T (s)".into(), series }
 }
 
 /// Disturbance against failed coverage over all cells, with the bound.
-#[must_use]
 pub fn front_chart(cells: &[Cell]) -> Chart {
     let mut series = Vec::new();
     let mut front = Vec::new();
@@ -331,70 +279,40 @@ pub fn front_chart(cells: &[Cell]) -> Chart {
             Decider::Policy(_) => series.push(Series { name: decider.name(), points: vec![point], mark: Mark::Points }),
         }
     }
-    front.sort_by(|a, b| a.0.total_cmp(&b.0));
-    series.insert(0, Series { name: "coverage-aware, by weight".into(), points: front, mark: Mark::Line });
+    series.insert(0, front_series(front));
     let optima: Vec<Optimum> =
         of(cells, NAIVE).into_iter().flat_map(|cell| cell.runs.iter().map(|run| cell.optima[run.start])).collect();
     let bound = (0..=20).filter_map(|i| Some((5.0 * f64::from(i), bound_s(&optima, f64::from(i) / 20.0)?))).collect();
     series.push(Series { name: "clairvoyant bound".into(), points: bound, mark: Mark::Line });
-    Chart {
-        title: "Disturbance against coverage, over all cells".into(),
-        x: "runs without full coverage (%)".into(),
-        y: "mean D_T (s)".into(),
-        series,
-    }
+    coverage_chart("Disturbance against coverage, over all cells".into(), series)
 }
 
-/// Domination as a table.
-#[must_use]
 pub fn domination_table(rows: &[Domination]) -> Table {
-    let header = [
-        "scene",
-        "program",
-        "T_r (s)",
-        "policy",
-        "D_T (s)",
-        "F",
-        "weight (s)",
-        "front at F (s)",
-        "bound at F (s)",
-        "verdict",
+    let columns: [Column<'_, Domination>; 10] = [
+        ("scene", &|row| row.scene.clone()),
+        ("program", &|row| row.program.clone()),
+        ("T_r (s)", &|row| row.room_time_s.to_string()),
+        ("policy", &|row| row.policy.clone()),
+        ("D_T (s)", &|row| format!("{:.1}", row.disturbance_mean)),
+        ("F", &|row| percent(row.failure_rate)),
+        ("weight (s)", &|row| row.weight_s.map_or_else(|| "-".to_owned(), |w| w.to_string())),
+        ("front at F (s)", &|row| number(row.front_s)),
+        ("bound at F (s)", &|row| number(row.bound_s)),
+        ("verdict", &|row| row.verdict.to_owned()),
     ];
-    let mut table = Table::new("domination", "Does the front dominate?", &header);
-    table.rows = rows
-        .iter()
-        .map(|row| {
-            vec![
-                row.scene.clone(),
-                row.program.clone(),
-                row.room_time_s.to_string(),
-                row.policy.clone(),
-                format!("{:.1}", row.disturbance_mean),
-                percent(row.failure_rate),
-                row.weight_s.map_or_else(|| "-".to_owned(), |w| format!("{w}")),
-                number(row.front_s),
-                number(row.bound_s),
-                row.verdict.to_owned(),
-            ]
-        })
-        .collect();
-    table
+    Table::of("domination", "Does the front dominate?", rows, &columns)
 }
 
 /// Brier score and likelihood by horizon, as charts and a table.
-#[must_use]
 pub fn horizon_report(rows: &[HorizonRow]) -> (Table, Vec<(String, String)>) {
-    let mut table =
-        Table::new("horizon", "The forecast by horizon", &["predictor", "t (s)", "cases", "Brier", "nll (nats)"]);
-    for row in rows {
-        table.rows.push(vec![
-            row.predictor.to_owned(),
-            row.horizon_s.to_string(),
-            row.cases.to_string(),
-            format!("{:.3}", row.brier),
-            format!("{:.3}", row.nll_nats),
-        ]);
-    }
+    let columns: [Column<'_, HorizonRow>; 5] = [
+        ("predictor", &|row| row.predictor.to_owned()),
+        ("t (s)", &|row| row.horizon_s.to_string()),
+        ("cases", &|row| row.cases.to_string()),
+        ("Brier", &|row| format!("{:.3}", row.brier)),
+        ("nll (nats)", &|row| format!("{:.3}", row.nll_nats)),
+    ];
+    let table = Table::of("horizon", "The forecast by horizon", rows, &columns);
     let chart = |title: &str, y: &str, value: fn(&HorizonRow) -> f64| {
         let mut series: Vec<Series> = Vec::new();
         for row in rows {
@@ -413,8 +331,6 @@ pub fn horizon_report(rows: &[HorizonRow]) -> (Table, Vec<(String, String)>) {
     (table, charts)
 }
 
-/// The report of Table II.
-#[must_use]
 pub fn table2_report(table: &Table2, cells: &[Cell], notes: Vec<String>, pictures: Vec<(String, String)>) -> Report {
     let mut figures = histograms(cells);
     figures.extend(pictures);

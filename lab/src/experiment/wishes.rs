@@ -3,16 +3,16 @@
 //! Two residents live by a daily plan with random times: work, errands, meals, naps. The planner gets their places at once, and a forecast from
 //! other days of the same household. It does not know the plan of the day. A resident who lies in bed sleeps after 20 minutes.
 
+use super::Fault;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use roomcast_core::grounding::PartitionLevel;
 use roomcast_core::ids::{BootNs, UnixNs};
-use roomcast_core::policy::PolicyError;
 use roomcast_core::semantic_map::{SceneError, SemanticMap};
 use roomcast_ipc::raw::{
     ForecastV1, MAX_HORIZONS, PersonForecastsV1, RoomScoresV1, action, forecast_flags, person_flags, presence,
 };
-use roomcast_ipc::{MessageError, text};
+use roomcast_ipc::text;
 use roomcast_services::config::{OnlyWhen, PlannerConfig, QuietHours, RoomNeeds, WhileAsleep};
 use roomcast_services::daemon::Zone;
 use roomcast_services::planner::Planner;
@@ -35,23 +35,6 @@ const HORIZONS_MIN: [usize; 8] = [0, 5, 10, 20, 30, 60, 120, 240];
 const FALLS_ASLEEP: usize = 20;
 /// The number of days that the forecast learns from.
 const KNOWN_DAYS: usize = 60;
-
-/// A day cannot be played.
-#[derive(Debug, thiserror::Error)]
-pub enum WishesError {
-    /// The map failed.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// A message failed.
-    #[error(transparent)]
-    Message(#[from] MessageError),
-    /// The policy failed.
-    #[error(transparent)]
-    Policy(#[from] PolicyError),
-    /// The quiet hours are malformed.
-    #[error("{0}")]
-    Quiet(String),
-}
 
 /// The minutes of one person: the room, none outside, and whether they sleep.
 type Minutes = Vec<(Option<usize>, bool)>;
@@ -151,11 +134,9 @@ impl Known {
 /// A way to control the robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Way {
-    /// Every day at ten.
     Schedule,
     /// Goes when the house is empty, and returns when it is not.
     EmptyHouse,
-    /// The planner without rules.
     Before,
     /// The planner with quiet hours, sleep, a wait for residents, and each room once a day.
     Rules,
@@ -164,11 +145,8 @@ pub enum Way {
 }
 
 impl Way {
-    /// All of them.
     pub const ALL: [Self; 5] = [Self::Schedule, Self::EmptyHouse, Self::Before, Self::Rules, Self::RulesEmptyHouse];
 
-    /// The name in tables.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Schedule => "fixed schedule, at 10:00",
@@ -179,7 +157,7 @@ impl Way {
         }
     }
 
-    fn config(self) -> Result<PlannerConfig, WishesError> {
+    fn config(self) -> Result<PlannerConfig, Fault> {
         let plain = PlannerConfig {
             room_time_s: (STAY * 60) as f64,
             round_s: Some((DAY * 60) as f64),
@@ -196,7 +174,7 @@ impl Way {
             time_s: None,
             exclude: false,
         };
-        let quiet = QuietHours::try_from("22:00-07:00".to_owned()).map_err(WishesError::Quiet)?;
+        let quiet = QuietHours::try_from("22:00-07:00".to_owned())?;
         let with_rules =
             PlannerConfig { quiet: vec![quiet], room: ROOMS.iter().map(|id| needs(id)).collect(), ..plain };
         Ok(match self {
@@ -236,10 +214,7 @@ struct Robot {
 }
 
 /// Plays days in one way. The planner starts at three in the night of the first day, and sees a resident from their first move on.
-///
-/// # Errors
-/// When the map or a configuration is none.
-pub fn play(way: Way, days: usize, seed: u64) -> Result<Sums, WishesError> {
+pub fn play(way: Way, days: usize, seed: u64) -> Result<Sums, Fault> {
     const START: usize = 3 * 60;
     let lives = household(days, seed);
     let known: Vec<Known> = household(KNOWN_DAYS, seed ^ 0xABCD).iter().map(Known::of).collect();
@@ -340,7 +315,7 @@ fn tell(
     now: &[(Option<usize>, bool)],
     seen: &[bool],
     known: &[Known],
-) -> Result<(), WishesError> {
+) -> Result<(), Fault> {
     let at_ns = minute as u64 * MINUTE_NS;
     let mut scores = RoomScoresV1 { epoch: 1, map_fingerprint, ..Default::default() };
     let mut each = Box::new(PersonForecastsV1 { epoch: 1, ..Default::default() });

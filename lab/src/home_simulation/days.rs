@@ -39,7 +39,6 @@ const HOUR: f64 = 3_600.0;
 pub const VISITS: f64 = 0.15;
 
 /// Days of a home, a share of them with one or two guests.
-#[must_use]
 pub fn written(plan: &Plan, days: usize, visits: f64, random: &mut impl RngExt) -> Truth {
     let characters: Vec<Character> =
         plan.bedrooms.iter().enumerate().map(|(number, room)| character(number, *room, random)).collect();

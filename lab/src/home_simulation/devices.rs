@@ -6,27 +6,21 @@ use super::plan::{Device, Plan};
 use super::{Act, DAY_S, Life, Truth, lognormal};
 use roomcast_core::tracker::{RoomUse, SensorKind, SensorSpec};
 
-/// One report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
-    /// The time, in seconds.
     pub at_s: f64,
-    /// The content.
     pub said: Said,
 }
 
-/// The content of a report.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Said {
     /// A sensor's state; the index is that in [`Plan::sensors`].
     Sensor(usize, bool),
     /// A caption: the person if it names one, and the likelihood of its text per room.
     Action(Option<usize>, Vec<f64>),
-    /// Rooms with the robot.
     Robot(Vec<usize>),
 }
 
-/// Conditions of a home.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Extras {
     /// A cat in front of the motion sensors.
@@ -36,7 +30,6 @@ pub struct Extras {
 }
 
 /// All reports of some days, by time.
-#[must_use]
 pub fn reports(
     plan: &Plan,
     truth: &Truth,

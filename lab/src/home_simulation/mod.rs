@@ -21,21 +21,16 @@ pub mod recorded;
 
 use rand::RngExt;
 
-/// Seconds of a day.
 pub const DAY_S: usize = 86_400;
 
 /// A person's activity in one second.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Act {
-    /// Walks.
     Walk,
     /// Moves about: cooks, washes, tidies.
     Busy,
-    /// Sits.
     Sit,
-    /// Lies in bed.
     Sleep,
-    /// Is out of the house.
     Out,
 }
 
@@ -44,27 +39,17 @@ pub enum Act {
 pub struct Life {
     /// The room; `None` is elsewhere.
     pub room: Vec<Option<u8>>,
-    /// The activity.
     pub act: Vec<Act>,
 }
 
 impl Life {
-    /// Adds seconds in one place.
     pub fn stay(&mut self, seconds: usize, room: Option<u8>, act: Act) {
         self.room.extend(std::iter::repeat_n(room, seconds));
         self.act.extend(std::iter::repeat_n(act, seconds));
     }
 
-    /// The length in seconds.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.room.len()
-    }
-
-    /// Whether it has no second.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.room.is_empty()
     }
 
     /// Cuts it to a length, or lengthens it by its last second.
@@ -78,9 +63,7 @@ impl Life {
 /// Days of a home: residents, then visitors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
-    /// Each resident.
     pub residents: Vec<Life>,
-    /// Each visitor.
     pub visitors: Vec<Life>,
 }
 

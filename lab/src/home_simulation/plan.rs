@@ -2,10 +2,8 @@
 
 use roomcast_core::tracker::{Home, RoomUse, SensorKind, SensorSpec, TrackerError};
 
-/// A home's rooms.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
-    /// The names.
     pub names: Vec<String>,
     /// The same home as the tracker knows it.
     pub home: Home,
@@ -19,26 +17,16 @@ pub struct Plan {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::EnumString, strum::Display, strum::VariantNames)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Device {
-    /// Presence sensors (mmWave).
     Presence,
-    /// Bed sensors.
     Bed,
-    /// Phones.
     Phone,
-    /// Door contacts.
     Door,
-    /// Plugs.
     Appliance,
-    /// The captioner.
     Camera,
 }
 
 impl Plan {
     /// A home for one to four residents: five, six, seven or ten rooms.
-    ///
-    /// # Errors
-    ///
-    /// None for these plans.
     pub fn of_residents(residents: usize) -> Result<Self, TrackerError> {
         let mut names = vec!["bedroom", "hallway", "bathroom", "kitchen", "living room"];
         let mut doors = vec![(0, 1), (2, 1), (3, 1), (4, 1), (3, 4)];
@@ -64,9 +52,6 @@ impl Plan {
     }
 
     /// A home from names and doors.
-    ///
-    /// # Errors
-    /// If a door joins rooms that do not exist.
     pub fn new(names: &[&str], doors: &[(usize, usize)], bedrooms: Vec<u8>, hall: u8) -> Result<Self, TrackerError> {
         let uses: Vec<RoomUse> = names.iter().map(|name| RoomUse::of(name)).collect();
         let exits: Vec<f64> = (0..names.len()).map(|room| if room == usize::from(hall) { 1.0 } else { 0.0 }).collect();
@@ -75,14 +60,12 @@ impl Plan {
     }
 
     /// The first room of a use; people use the living room for the rooms that a home lacks.
-    #[must_use]
     pub fn room(&self, usage: RoomUse) -> u8 {
         let find = |usage| (0..self.home.rooms()).find(|room| self.home.usage(*room) == usage);
         find(usage).or_else(|| find(RoomUse::Living)).map_or(self.hall, |room| room as u8)
     }
 
     /// The home's sensors without the kinds that it lacks.
-    #[must_use]
     pub fn sensors(&self, without: &[Device]) -> Vec<SensorSpec> {
         let has = |device: Device| !without.contains(&device);
         let mut specs = Vec::new();

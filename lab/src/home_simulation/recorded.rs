@@ -19,7 +19,6 @@ const SITS_AFTER: usize = 240;
 /// A home with days that were recorded or written elsewhere: a list of days for each resident.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recorded {
-    /// The home.
     pub plan: Plan,
     /// Per resident, days of 24 hours.
     pub residents: Vec<Vec<Life>>,
@@ -27,9 +26,6 @@ pub struct Recorded {
 
 impl Recorded {
     /// A home without days, from a scene.
-    ///
-    /// # Errors
-    /// If the scene has no rooms or too many.
     pub fn new(map: &SemanticMap, grounding: &Grounding) -> Result<Self, TrackerError> {
         let partitions = grounding.partitions();
         let uses: Vec<RoomUse> = partitions.iter().map(|own| RoomUse::of(&own.label)).collect();

@@ -4,8 +4,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use super::StudyArgs;
-use crate::commands::{Manifest, prediction, report_faults};
-use roomcast_cli::exit_code;
+use crate::commands::{Manifest, prediction};
 use roomcast_cli::{CommandResult, Failure};
 use roomcast_services::setup;
 use roomcast_simulation::homer::Day;
@@ -35,7 +34,7 @@ pub(super) fn tell_apart(activities: &mut [Named]) -> CommandResult {
         let Some(first) = alike.first() else { break };
         if alike.iter().all(|own| activities[*own].path.components().count() < parts) && parts > 2 {
             let text = format!("--program has {} twice: give it once", activities[*first].path.display());
-            return Err(Failure::new(exit_code::USAGE, text));
+            return Err(Failure::usage(text));
         }
         for own in alike {
             activities[own].name = last_parts(&activities[own].path, parts);
@@ -46,14 +45,13 @@ pub(super) fn tell_apart(activities: &mut [Named]) -> CommandResult {
 
 impl StudyArgs {
     pub(super) fn load(&self, path: &Path) -> Result<Vec<Named>, Failure> {
-        let input = |error: roomcast_core::narration::TextError| Failure::new(exit_code::INPUT, error);
+        let input = |error: roomcast_core::narration::TextError| Failure::input(error);
         if let Some(shipped) = setup::shipped_program(path) {
             let name = path.display().to_string();
             let activity = Activity::Program(shipped.map_err(input)?);
             return Ok(vec![Named { path: path.to_owned(), name: name.clone(), drawn_by: name, activity }]);
         }
-        let (mut files, faults) = prediction::load_programs(path)?;
-        report_faults(&faults);
+        let mut files = prediction::load_programs(path)?;
         if let Some(manifest) = self.manifest.as_ref().filter(|_| path.is_dir()) {
             files = Manifest::read(manifest)?.split(files, &self.split)?;
         }

@@ -83,18 +83,15 @@ pub(crate) struct Cleaning {
     next_s: f64,
 }
 
-/// One line of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
     /// Forecast: `mixture` with habits, `model` without.
     pub predictor: &'static str,
-    /// The policy.
     pub policy: &'static str,
     /// Seconds of disturbance per hour.
     pub disturbance_s_per_h: f64,
     /// Share of rooms that were done at the ends of their rounds.
     pub coverage: f64,
-    /// Differences from a robot without habits.
     pub less: Option<Less>,
 }
 
@@ -105,9 +102,7 @@ pub struct Less {
     pub disturbance_s_per_h: f64,
     /// 95 % interval, by days; `None` if fewer than two days have a whole round.
     pub disturbance_ci95: Option<[f64; 2]>,
-    /// Share of done rooms.
     pub coverage: f64,
-    /// 95 % interval, by days.
     pub coverage_ci95: Option<[f64; 2]>,
 }
 

@@ -1,6 +1,7 @@
 //! Forecasts of a later place that wait for the truth, and their room sets.
 
-use super::predictors::{MIXTURE, MODEL, Others, PERSISTENCE, STAY, WITHOUT_MODEL, normalise, staying};
+use super::super::baselines::staying;
+use super::predictors::{MIXTURE, MODEL, Others, PERSISTENCE, STAY, WITHOUT_MODEL, normalise};
 use super::tally::Tally;
 use super::{CHAINS, HORIZONS_S, PREDICTORS};
 use roomcast_core::habits::AdaptiveSets;

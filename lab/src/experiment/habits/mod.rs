@@ -7,10 +7,11 @@
 
 use std::collections::VecDeque;
 
+use roomcast_cli::Failure;
 use serde::Serialize;
 
 use super::baselines::Statistics;
-use super::{ExperimentError, Progress};
+use super::{Progress, nothing_bound};
 use chains::Style;
 use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::{GroundedScores, Grounding};
@@ -81,20 +82,15 @@ const OUT_S: f64 = 4.0 * 3_600.0;
 /// Smaller probabilities of a baseline are raised to this.
 const FLOOR: f64 = 1e-6;
 
-/// Options of the experiment.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// The window of narration.
     pub history: HistoryLimits,
-    /// The binding sequence.
     pub binding: BindingSequence,
-    /// Options of habits.
     pub habits: HabitsOptions,
     /// Options of the forecast without habits.
     pub forecast: ForecastOptions,
     /// Mixtures without some parts, with their names: further predictors.
     pub without: Vec<(String, Without)>,
-    /// Seed of the bootstrap.
     pub seed: u64,
 }
 
@@ -108,15 +104,12 @@ pub enum Days {
     Some(&'static str),
 }
 
-/// All days.
 pub const ALL: Days = Days::Some("all");
-/// The second half of the days.
 pub const HALF: Days = Days::Some("second-half");
 /// The cases of all days in activities that were never done in exactly this way before.
 pub const UNSEEN: Days = Days::Some("unseen-scripts");
 
 /// Empty habits that are bound to a map.
-#[must_use]
 pub fn bound(options: HabitsOptions, grounding: &Grounding) -> Habits {
     let mut habits = Habits::new(options);
     habits.bind_to(grounding);
@@ -124,9 +117,6 @@ pub fn bound(options: HabitsOptions, grounding: &Grounding) -> Habits {
 }
 
 /// Runs the experiment over the trace from its first day to its last.
-///
-/// # Errors
-/// When the model, its cache or the map fails, or the trace is empty.
 pub fn run<M: LanguageModel>(
     trace: &Trace,
     (map, grounding): (&SemanticMap, &Grounding),
@@ -134,10 +124,10 @@ pub fn run<M: LanguageModel>(
     statistics: &Statistics,
     options: &Options,
     progress: &Progress,
-) -> Result<Report, ExperimentError> {
+) -> Result<Report, Failure> {
     // Places can be known without sentences.
     if trace.places.is_empty() && trace.steps.iter().all(|step| step.label.is_none()) {
-        return Err(ExperimentError::NothingBound { scene: map.name().to_owned() });
+        return Err(nothing_bound(map.name()));
     }
     let reduced = options.without.iter().map(|(name, _)| name.as_str());
     let predictors: Vec<_> = PREDICTORS.into_iter().chain(reduced).collect();
@@ -208,7 +198,7 @@ mod tests {
         trace: &Trace,
         (map, grounding): &(SemanticMap, Grounding),
         forecast: ForecastOptions,
-    ) -> Result<Report, ExperimentError> {
+    ) -> Result<Report, Failure> {
         let labels = grounding.label_texts();
         let (method, tokens) = (Method::Trie, Tokenisation::Joint);
         let correction = CorrectionChoice::default();
@@ -329,7 +319,7 @@ mod tests {
         // Without places and things there are no cases.
         let nothing = Trace::of_sensors(vec![step(&intervals[0])], &[], &[], rooms).unwrap();
         let report = try_watch(&nothing, &home, ForecastOptions::default());
-        assert!(matches!(report, Err(ExperimentError::NothingBound { .. })));
+        assert!(report.unwrap_err().to_string().contains("has none of the things"));
     }
 
     /// The first thing of each activity is mentioned again in it, and activities begin with different things.

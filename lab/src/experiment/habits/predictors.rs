@@ -24,16 +24,6 @@ impl Others {
     }
 }
 
-pub(super) fn staying(here: Option<usize>, stay: f64, places: usize) -> Vec<f64> {
-    match here {
-        Some(here) if places > 1 => {
-            let other = (1.0 - stay) / (places - 1) as f64;
-            (0..places).map(|place| if place == here { stay } else { other }).collect()
-        }
-        _ => vec![1.0 / places as f64; places],
-    }
-}
-
 pub(super) fn normalise(p: &mut [f64]) {
     let total: f64 = p.iter().map(|p| p + FLOOR).sum();
     p.iter_mut().for_each(|p| *p = (*p + FLOOR) / total);

@@ -2,95 +2,70 @@
 
 use serde::Serialize;
 
-use super::super::losses::{Intervals, Summary, difference, summarise};
+use super::super::losses::{Figures, Summary, difference, summarise};
 use super::predictors::MIXTURE;
 use super::tally::Tally;
 use super::watch::Watch;
 use super::{ALL, Days, HALF, Options, TARGETS, UNSEEN, cleaning};
 
-/// One line of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
-    /// The days.
     pub day: Days,
-    /// The predictor.
     pub predictor: String,
-    /// The target.
     pub target: &'static str,
-    /// Number of cases.
     pub n: usize,
-    /// Mean negative log-likelihood in nats.
     pub nll_nats: f64,
-    /// Mean reciprocal rank.
     pub mrr: f64,
     /// Share of cases with a right likeliest outcome.
     pub top1: f64,
-    /// Mean Brier score, 0 to 2.
     pub brier: f64,
-    /// Expected calibration error.
     pub ece: f64,
     /// 95 % intervals by bootstrap over days; `None` for a single day.
-    pub ci95: Option<Intervals>,
+    pub ci95: Option<Figures<[f64; 2]>>,
 }
 
 /// The mixture's figures minus another predictor's, on the same cases, with intervals by bootstrap over the same days.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Difference {
-    /// The days.
     pub day: Days,
-    /// The target.
     pub target: &'static str,
-    /// The other predictor.
     pub less: String,
-    /// Difference of the losses in nats.
     pub nll_nats: f64,
-    /// Its 95 % interval.
     pub nll_ci95: [f64; 2],
     /// Difference of the shares of cases with a right likeliest outcome.
     pub top1: f64,
-    /// Its 95 % interval.
     pub top1_ci95: [f64; 2],
 }
 
-/// Sets of places of one horizon.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Sets {
-    /// Time ahead, in seconds.
     pub horizon_s: f64,
-    /// Promised coverage.
     pub coverage_asked: f64,
     /// Share of moments in which the set held the person.
     pub coverage: f64,
-    /// Mean number of places in a set.
     pub size_mean: f64,
     /// Mean number of places in a set of the forecast without habits, with the same promise.
     pub size_mean_shipped: f64,
-    /// Coverage of sets of the forecast without habits.
     pub coverage_shipped: f64,
     /// Coverage of sets that always have the likeliest place, as the daemon publishes them.
     pub coverage_never_empty: f64,
-    /// Their mean number of places.
     pub size_mean_never_empty: f64,
 }
 
-/// The result.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Report {
     /// Days with cases.
     pub days: usize,
     /// Cases of the target `room`.
     pub cases: usize,
-    /// The table.
     pub rows: Vec<Row>,
     /// The mixture against the other predictors, over all days and over the second half.
     pub differences: Vec<Difference>,
-    /// The sets.
     pub sets: Vec<Sets>,
     /// The value of the forecasts to a robot.
     pub cleaning: Vec<cleaning::Row>,
     /// Number of scores that were computed because the cache lacked them.
     pub computed: usize,
-    /// Amount of learned data.
     pub learned: roomcast_core::habits::Learned,
 }
 
@@ -112,11 +87,11 @@ fn rows(tally: &Tally, predictors: &[&str], seed: u64) -> (Vec<Row>, Vec<Differe
                     predictor: (*predictor_name).to_owned(),
                     target: target_name,
                     n: summary.cases,
-                    nll_nats: summary.nll_nats,
-                    mrr: summary.mrr,
-                    top1: summary.top1,
-                    brier: summary.brier,
-                    ece: summary.ece,
+                    nll_nats: summary.mean.nll_nats,
+                    mrr: summary.mean.mrr,
+                    top1: summary.mean.top1,
+                    brier: summary.mean.brier,
+                    ece: summary.mean.ece,
                     ci95: summary.ci95,
                 });
                 if predictor != MIXTURE
@@ -127,9 +102,9 @@ fn rows(tally: &Tally, predictors: &[&str], seed: u64) -> (Vec<Row>, Vec<Differe
                         day,
                         target: target_name,
                         less: (*predictor_name).to_owned(),
-                        nll_nats: less.nll_nats,
+                        nll_nats: less.mean.nll_nats,
                         nll_ci95: ci95.nll_nats,
-                        top1: less.top1,
+                        top1: less.mean.top1,
                         top1_ci95: ci95.top1,
                     });
                 }

@@ -1,13 +1,14 @@
 //! Next things and next rooms: every sentence is forecast, then learned from.
 
-use super::super::ExperimentError;
-use super::super::baselines::{Baselines, Statistics};
+use super::super::baselines::{Baselines, Statistics, staying};
+use super::super::prediction::probabilities;
 use super::chains::{Chain, ORDER_MAX};
 use super::cleaning::Cleaning;
 use super::horizon::Horizon;
 use super::predictors::*;
 use super::tally::Tally;
 use super::{ACTIVITY_S, CHAINS, OBJECT, OBJECT_OR_SAME, Options, PREDICTORS, ROOM, ROOM_IF_CHANGED, bound};
+use roomcast_cli::CommandResult;
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::habits::{Habits, HabitsOptions, Place, Turn};
@@ -15,7 +16,6 @@ use roomcast_core::semantic_map::SemanticMap;
 use roomcast_simulation::binding::{Binder, ItemChoice};
 use roomcast_simulation::trace::{Step, Trace};
 
-/// A predictor's probabilities.
 #[derive(Clone, Default)]
 struct Forecast {
     objects: Vec<f64>,
@@ -52,7 +52,6 @@ fn without(p: &[f64], here: usize) -> Vec<f64> {
     others
 }
 
-/// The state of the experiment.
 pub(super) struct Watch<'a> {
     pub(super) trace: &'a Trace,
     grounding: &'a Grounding,
@@ -130,12 +129,7 @@ impl<'a> Watch<'a> {
     }
 
     /// Scores and learns the pending cases of a sentence, then forecasts the next from the model's scores.
-    pub(super) fn step(
-        &mut self,
-        step: &Step,
-        scores: &[f64],
-        grounded: &mut GroundedScores,
-    ) -> Result<(), ExperimentError> {
+    pub(super) fn step(&mut self, step: &Step, scores: &[f64], grounded: &mut GroundedScores) -> CommandResult {
         // The cases keep their forecasts. The caches of an activity contain its first thing.
         if step.at_s - self.last_s > ACTIVITY_S {
             let Self { objects, turns, next_rooms, .. } = self;
@@ -172,10 +166,7 @@ impl<'a> Watch<'a> {
 
         self.grounding.ground(scores, grounded)?;
         let rooms = grounded.partition_probability.clone();
-        let greatest = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let mut labels: Vec<f64> = scores.iter().map(|score| (score - greatest).exp()).collect();
-        let total: f64 = labels.iter().sum();
-        labels.iter_mut().for_each(|p| *p /= total);
+        let labels = probabilities(scores);
         self.forecaster.expect_next(self.grounding, scores, 1.0, 0);
         // The room of the next thing in the forecast without habits.
         let expected = self.forecaster.expected().map_or(rooms, <[f64]>::to_vec);

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::super::Fault;
 use super::{Filter, Setup};
 use crate::home_simulation::devices::{self, Extras, Report, Said};
 use crate::home_simulation::plan::{Device, Plan};
@@ -44,13 +45,9 @@ const DAEMON: usize = 2;
 /// A method's loss so many seconds ahead.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Row {
-    /// Residents.
     pub residents: usize,
-    /// Missing devices.
     pub without: Vec<String>,
-    /// Seconds ahead.
     pub ahead_s: usize,
-    /// The method.
     pub method: &'static str,
     /// Mean of -ln P(true place) per person.
     pub log_loss_nats: f64,
@@ -117,12 +114,7 @@ impl Horizon {
     }
 }
 
-type Fault = Box<dyn std::error::Error>;
-
 /// Plays one home. Each horizon and method has a row.
-///
-/// # Errors
-/// If the home cannot be set up.
 pub fn run(setup: &Setup) -> Result<Vec<Row>, Fault> {
     let mut random = ChaCha8Rng::seed_from_u64(setup.seed);
     let map = SemanticMap::from_json(embedded::scene("flat").ok_or("the flat ships")?.text)?;

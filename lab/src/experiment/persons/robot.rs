@@ -5,7 +5,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::Believer;
+use super::{Believer, Mean};
 use crate::home_simulation::DAY_S;
 use roomcast_core::policy::{CoverageAware, Policy, RobotState};
 use roomcast_services::config::PlannerConfig;
@@ -17,22 +17,11 @@ const STAYS: usize = 2;
 /// The robot works between these hours.
 const HOURS: std::ops::Range<usize> = 8..20;
 
-/// Sums of a robot: minutes of work, minutes with somebody in its room, rooms of ended rounds.
+/// Minutes of work with somebody in the robot's room, and rooms that were done at the end of their round.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Work {
-    pub(super) minutes: f64,
-    pub(super) beside: f64,
-    pub(super) rooms: f64,
-    pub(super) done: f64,
-}
-
-impl Work {
-    pub(super) fn add(&mut self, other: &Self) {
-        self.minutes += other.minutes;
-        self.beside += other.beside;
-        self.rooms += other.rooms;
-        self.done += other.done;
-    }
+    pub(super) beside: Mean,
+    pub(super) done: Mean,
 }
 
 #[derive(Debug)]
@@ -75,8 +64,7 @@ impl Robot {
             self.at = self.next(second, own).map(|room| (room, second + STAY_S));
         }
         if let Some((room, _)) = self.at {
-            self.work.minutes += 1.0;
-            self.work.beside += f64::from(u8::from(is_occupied(room)));
+            self.work.beside.add(is_occupied(room));
         }
     }
 
@@ -84,8 +72,7 @@ impl Robot {
         let rooms = self.covered.len();
         let is_done = self.covered.iter().all(|done| *done);
         if self.round_ends.is_some_and(|ends| is_done || second + STAY_S > ends) {
-            self.work.rooms += rooms as f64;
-            self.work.done += self.covered.iter().filter(|done| **done).count() as f64;
+            self.covered.iter().for_each(|done| self.work.done.add(*done));
             self.round_ends = None;
         }
         let ends = *self.round_ends.get_or_insert_with(|| {
@@ -149,9 +136,9 @@ mod tests {
     #[test]
     fn a_robot_that_knows_where_the_person_is_works_beside_nobody() {
         let knows = work(0);
-        assert_eq!(knows.beside, 0.0);
-        assert!(knows.minutes > 650.0 && knows.done > 0.9 * knows.rooms, "{knows:?}");
+        assert_eq!(knows.beside.sum, 0.0);
+        assert!(knows.beside.count > 650.0 && knows.done.value() > 0.9, "{knows:?}");
         let is_late = work(20);
-        assert!(is_late.beside > 100.0, "{is_late:?}");
+        assert!(is_late.beside.sum > 100.0, "{is_late:?}");
     }
 }
