@@ -12,6 +12,7 @@ use roomcast_core::narration::TextError;
 pub use roomcast_core::text::count;
 use roomcast_core::text::visible_lines;
 use roomcast_ipc::IpcError;
+use roomcast_services::config::ConfigError;
 use roomcast_services::daemon::{DaemonError, JournalError};
 use roomcast_services::lessons::LessonError;
 use roomcast_services::sensor_log::SensorLog;
@@ -103,7 +104,7 @@ macro_rules! convert {
     };
 }
 
-convert!(GroundingError => input, TextError => input, IpcError => ipc);
+convert!(ConfigError => config, GroundingError => input, TextError => input, IpcError => ipc);
 
 impl From<LessonError> for Failure {
     fn from(error: LessonError) -> Self {

@@ -6,7 +6,6 @@ use roomcast_services::config::MqttConfig;
 use roomcast_services::mqtt::{Broker, MqttError};
 
 use super::Failure;
-use crate::exit_code;
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -55,13 +54,10 @@ impl Args {
 }
 
 pub fn failure(error: MqttError) -> Failure {
-    let code = match error {
-        MqttError::Address { .. } | MqttError::Login | MqttError::Scheme { .. } => exit_code::USAGE,
-        MqttError::Read { .. }
-        | MqttError::Credentials { .. }
-        | MqttError::Rules { .. }
-        | MqttError::Authority { .. } => exit_code::INPUT,
-        _ => exit_code::FAILURE,
-    };
-    Failure::new(code, error)
+    use MqttError::{Address, Authority, Credentials, Login, Read, Rules, Scheme};
+    match error {
+        Address { .. } | Login | Scheme { .. } => Failure::usage(error),
+        Read { .. } | Credentials { .. } | Rules { .. } | Authority { .. } => Failure::input(error),
+        _ => Failure::failed(error),
+    }
 }

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use super::{CommandResult, Failure, model, service};
-use roomcast_services::{daemon, logging};
+use super::{CommandResult, model, service};
+use roomcast_services::daemon;
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -24,22 +24,14 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> CommandResult {
-    let stop = service::stop()?;
-    let _log = logging::init();
-    let (mut config, domain) = args.service.load()?;
-    if args.scene.is_some() {
-        config.scene.path.clone_from(&args.scene);
-    }
-    if args.model.is_some() {
-        config.model.path.clone_from(&args.model);
-    }
-    if args.state.is_some() {
-        config.daemon.state.clone_from(&args.state);
-    }
-    config.check().map_err(Failure::config)?;
+    let (stop, _log, mut config, domain) = args.service.begin()?;
+    config.scene.path = args.scene.clone().or(config.scene.path);
+    config.model.path = args.model.clone().or(config.model.path);
+    config.daemon.state = args.state.clone().or(config.daemon.state);
+    config.check()?;
     // Code that reads the state directory later would report this fault less clearly.
     if let Some(fault) = config.state_fault() {
-        return Err(Failure::config(fault));
+        return Err(fault.into());
     }
     if !args.no_model {
         let Some(tried) = stop.while_loading(|| model::try_configured(&config)) else { return Ok(()) };

@@ -45,6 +45,7 @@ const START_WITHIN: Duration = Duration::from_secs(120);
 const ITEMS_WITHIN: Duration = Duration::from_millis(200);
 /// How long a person is in the robot's room before its work is interrupted, in the person's time.
 const INTERRUPT_AFTER_S: f64 = 2.0;
+const POLL: Duration = Duration::from_millis(50);
 const BAR_WIDTH: usize = 30;
 const TOP_OBJECTS: usize = 5;
 
@@ -90,8 +91,7 @@ pub fn run(args: &Args) -> CommandResult {
     }
     let stop = service::stop()?;
     let map = setup::load_map(Some(&args.scene))?;
-    let grounding = Grounding::new(&map, &GroundingOptions::default());
-    let grounding = grounding.map_err(Failure::input)?;
+    let grounding = Grounding::new(&map, &GroundingOptions::default())?;
     let plot = Plot::new(args, &map, &grounding)?;
     let horizon_s = plot.timeline.len();
     let speed = horizon_s as f64 / args.seconds;
@@ -127,9 +127,7 @@ pub fn run(args: &Args) -> CommandResult {
 
 fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &Stop) -> CommandResult {
     let start = Instant::now();
-    while !stop.requested() && !show.unheard && show.scores_seen == 0 {
-        stage.check()?;
-        show.poll(Duration::from_millis(50))?;
+    while show.scores_seen == 0 && show.goes_on(stage, stop)? {
         if start.elapsed() > START_WITHIN {
             let within = START_WITHIN.as_secs();
             return Err(Failure::failed(format!("the daemon gave no scores within {within} s")));
@@ -154,16 +152,11 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
     planner.extend(["--interrupt".into(), args.interrupt.to_string().into()]);
     planner.extend(["--interrupt-after".into(), (INTERRUPT_AFTER_S / speed).to_string().into()]);
     stage.start("planner", &planner)?;
-    while !stop.requested() && !show.unheard && show.begin_ns.is_none() {
-        stage.check()?;
-        show.poll(Duration::from_millis(50))?;
-    }
+    while show.begin_ns.is_none() && show.goes_on(stage, stop)? {}
     act(stage, show, writing, stop)?;
-    while !stop.requested() && !show.unheard && !stage.ended("narrate")? {
-        show.poll(Duration::from_millis(50))?;
-    }
+    while !stage.ended("narrate")? && show.goes_on(stage, stop)? {}
     // The last narration may still be in the ports.
-    Ok(show.poll(Duration::from_millis(50))?)
+    Ok(show.poll(POLL)?)
 }
 
 /// Gives the narrator the person's actions at their times, until the end of the person's time.
@@ -331,6 +324,13 @@ impl<'a> Show<'a> {
         }
         lines.push(String::new());
         self.say(&lines);
+    }
+
+    /// Shows what comes within a moment. Returns whether the show goes on after that.
+    fn goes_on(&mut self, stage: &mut Stage, stop: &Stop) -> Result<bool, Failure> {
+        stage.check()?;
+        self.poll(POLL)?;
+        Ok(!stop.requested() && !self.unheard)
     }
 
     fn poll(&mut self, timeout: Duration) -> Result<(), IpcError> {

@@ -97,11 +97,8 @@ fn processor() -> Finding {
     let units: Vec<_> = vector_units().iter().filter(|unit| unit.1).map(|unit| unit.0).collect();
     let found = format!("{}, {cores} cores, {}", std::env::consts::ARCH, units.join(" "));
     if cores < 2 {
-        return Finding::limited(
-            "processor",
-            found,
-            "with one core the model competes with everything else; give it two or more",
-        );
+        let remedy = "with one core the model competes with everything else; give it two or more";
+        return Finding::limited("processor", found, remedy);
     }
     Finding::good("processor", found)
 }
@@ -357,12 +354,8 @@ pub fn run(args: &Args) -> CommandResult {
             return Err(Failure::new(failure.code, "the configuration cannot be used; nothing else was checked"));
         }
     };
-    if args.model.is_some() {
-        config.model.path.clone_from(&args.model);
-    }
-    if args.scene.is_some() {
-        config.scene.path.clone_from(&args.scene);
-    }
+    config.model.path = args.model.clone().or(config.model.path);
+    config.scene.path = args.scene.clone().or(config.scene.path);
     let model_bytes = match &config.model.path {
         Some(path) => std::fs::metadata(path).map_or(0, |about| about.len()),
         None => embedded::MODEL.len() as u64,

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use roomcast_ipc::question;
+use serde_json::{Value, json};
 
 use super::{CommandResult, Failure, draw, ranges, record, score, service};
 use crate::columns::prose;
@@ -98,24 +99,23 @@ pub fn run(args: &Args) -> CommandResult {
         Some(who) => moment.find(who).and_then(|person| moment.of_person(person)).map_err(Failure::input)?,
         None => moment,
     };
-    let explained = moment.explain(args.score.top()).map_err(Failure::failed)?;
+    let explained = moment.explain(args.score.top).map_err(Failure::failed)?;
     if let Some(path) = &args.plan {
         draw_plan(&explained, path)?;
     }
     // Each person has a chain. The combined probability of several persons is not a sum over labels.
     let persons = moment.persons.iter().map(|own| {
-        let explained = moment.of_person(own.person).and_then(|alone| alone.explain(args.score.top()));
+        let explained = moment.of_person(own.person).and_then(|alone| alone.explain(args.score.top));
         explained.map(|explained| (own.person, explained.explanation))
     });
     let persons: Vec<_> = persons.collect::<Result<_, _>>().map_err(Failure::failed)?;
-    if args.score.json() {
-        let failed_json = |error: serde_json::Error| Failure::failed(error);
-        let mut value = serde_json::to_value(&explained.explanation).map_err(failed_json)?;
+    if args.score.json {
+        let mut value = json!(explained.explanation);
         if !flags.is_empty() {
             value["flags"] = flags.into();
         }
         if !moment.habits.is_empty() {
-            let mut habits = serde_json::to_value(&moment.habits).map_err(failed_json)?;
+            let mut habits = json!(moment.habits);
             for (own, learned) in habits.as_array_mut().into_iter().flatten().zip(&moment.habits) {
                 own["name"] = moment.names.get(&learned.person).cloned().into();
             }
@@ -124,7 +124,7 @@ pub fn run(args: &Args) -> CommandResult {
         if !persons.is_empty() {
             let person = |(person, explanation): &(PersonId, Explanation)| {
                 let name = moment.names.get(person);
-                serde_json::json!({"person": person, "name": name, "explanation": explanation})
+                json!({"person": person, "name": name, "explanation": explanation})
             };
             value["persons"] = persons.iter().map(person).collect();
             // The combined probability is not a sum over labels.
@@ -156,8 +156,8 @@ fn heading(name: &str) -> String {
 }
 
 /// Per partition the probability that it is the next one of any of the persons, the likeliest first.
-fn somebody(persons: &[(PersonId, Explanation)]) -> serde_json::Value {
-    let Some((_, first)) = persons.first() else { return serde_json::Value::Null };
+fn somebody(persons: &[(PersonId, Explanation)]) -> Value {
+    let Some((_, first)) = persons.first() else { return Value::Null };
     let of = |explanation: &Explanation, id: &str| {
         let own = explanation.partitions.iter().find(|partition| partition.id == id);
         own.map_or(0.0, |partition| partition.probability)
@@ -166,7 +166,7 @@ fn somebody(persons: &[(PersonId, Explanation)]) -> serde_json::Value {
     let mut partitions: Vec<_> = first.partitions.iter().map(|partition| (any(&partition.id), partition)).collect();
     partitions.sort_by(|a, b| b.0.total_cmp(&a.0));
     let row = |(probability, partition): (f64, &PartitionReason)| {
-        serde_json::json!({
+        json!({
             "id": partition.id, "label": partition.label, "name": partition.name, "probability": probability,
         })
     };
@@ -181,7 +181,7 @@ fn whereabouts(args: &Args, who: &str) -> CommandResult {
     let Some(found) = answer.whereabouts else {
         return Err(Failure::input(answer.reason.unwrap_or_else(|| "the daemon gives no place".to_owned())));
     };
-    if args.score.json() {
+    if args.score.json {
         return super::print_json(&found);
     }
     super::print(&told(&found))

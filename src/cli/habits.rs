@@ -8,7 +8,8 @@ use roomcast_ipc::question;
 #[cfg(feature = "simulation")]
 use roomcast_ipc::raw::narration_kind;
 
-use super::{CommandResult, Failure, print, service, table};
+use super::service::{self, Asking};
+use super::{CommandResult, Failure, print, table};
 use crate::exit_code;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, Zone};
 use roomcast_services::lessons::{self, Lessons};
@@ -31,7 +32,7 @@ enum Action {
     /// Print how much was learned, for each person, and its share of the forecast.
     Show {
         #[command(flatten)]
-        common: Common,
+        common: Asking,
         /// Print the daemon's answer as JSON.
         #[arg(long)]
         json: bool,
@@ -46,21 +47,21 @@ enum Action {
         #[arg(long)]
         all: bool,
         #[command(flatten)]
-        common: Common,
+        common: Asking,
     },
     /// Write the habits into a file, as JSON: names of things and rooms, with counts by hour.
     Export {
         /// The file; it must not exist.
         file: PathBuf,
         #[command(flatten)]
-        common: Common,
+        common: Asking,
     },
     /// Replace the habits by exported ones.
     Import {
         /// The file.
         file: PathBuf,
         #[command(flatten)]
-        common: Common,
+        common: Asking,
     },
     /// Learn from earlier narration, in addition to the present habits.
     Learn(LearnArgs),
@@ -92,7 +93,7 @@ struct LearnArgs {
     #[arg(long)]
     person: Option<Who>,
     #[command(flatten)]
-    common: Common,
+    common: Asking,
 }
 
 /// The inputs of `learn`, one of them.
@@ -100,15 +101,6 @@ struct LearnArgs {
 const INPUTS: [&str; 4] = ["lines", "sensors", "recording", "days"];
 #[cfg(not(feature = "simulation"))]
 const INPUTS: [&str; 3] = ["lines", "sensors", "recording"];
-
-#[derive(Debug, clap::Args)]
-struct Common {
-    #[command(flatten)]
-    service: service::Args,
-    /// Seconds to wait for the daemon.
-    #[arg(long, value_name = "SECONDS", default_value_t = 10)]
-    patience: u64,
-}
 
 pub fn run(args: &Args) -> CommandResult {
     match &args.action {
@@ -349,9 +341,8 @@ fn after_restart(answer: &HabitsAnswer) -> &'static str {
 struct Asker(service::Asker);
 
 impl Asker {
-    fn new(common: &Common) -> Result<Self, Failure> {
-        let (_, domain) = common.service.load()?;
-        service::Asker::new(&domain, "roomcast-habits", question::HABITS, common.patience).map(Self)
+    fn new(common: &Asking) -> Result<Self, Failure> {
+        common.asker("roomcast-habits", question::HABITS).map(Self)
     }
 
     /// Replaces the daemon's habits, if it still has the expected number of observations.

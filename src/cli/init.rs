@@ -182,10 +182,8 @@ struct Made {
 fn make(args: &Args, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failure> {
     let [scene, rules_file, config_file] = files;
     let plan = robot_map(args, found)?;
-    let (home_map, rules) = match &found.home_assistant {
-        Some((_, home)) => (Some(home.imported.clone()), home.rules.clone()),
-        None => (None, None),
-    };
+    let home = found.home_assistant.as_ref().map(|(_, home)| home);
+    let (home_map, rules) = (home.map(|home| home.imported.clone()), home.and_then(|home| home.rules.clone()));
     let furnish = |imported: Imported| if args.bare { Ok(imported) } else { imported.furnish(args.furnish) };
     let (imported, areas) = match (plan, home_map) {
         (Some(plan), areas) => (plan, areas),
@@ -208,9 +206,9 @@ fn make(args: &Args, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failur
     }
     let config = configuration(&map, rules.is_some(), found);
     let checked: Config = config.parse().map_err(|error| input(format!("{}: {error}", config_file.display())))?;
-    checked.check().map_err(Failure::config)?;
+    checked.check()?;
     // The services will read exactly this configuration and map.
-    Grounding::new(&map, &checked.grounding).map_err(input)?;
+    Grounding::new(&map, &checked.grounding)?;
     Ok(Made { map, rules, config, notes })
 }
 

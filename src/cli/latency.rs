@@ -13,7 +13,6 @@ use serde::Serialize;
 
 use super::stage::Stage;
 use super::{CommandResult, Failure, print_json, ranges, service};
-use crate::exit_code;
 use crate::latency::{self, LatencyError, Narrator, Path, Probe, Row, Taken};
 use roomcast_core::narration::{Program, Sentence};
 use roomcast_core::prepared::ANSWERS_MAX;
@@ -117,11 +116,10 @@ struct Report {
 
 impl From<LatencyError> for Failure {
     fn from(error: LatencyError) -> Self {
-        let code = match &error {
-            LatencyError::Ipc(_) => exit_code::IPC,
-            _ => exit_code::FAILURE,
-        };
-        Self::new(code, error)
+        match error {
+            LatencyError::Ipc(error) => error.into(),
+            _ => Self::failed(error),
+        }
     }
 }
 
@@ -294,7 +292,7 @@ fn sentences(file: Option<&std::path::Path>) -> Result<Vec<String>, Failure> {
         return Ok(sentences);
     }
     for shipped in roomcast_services::embedded::PROGRAMS {
-        let program = Program::parse(shipped.text).map_err(Failure::input)?;
+        let program = Program::parse(shipped.text)?;
         sentences.extend(program.steps.iter().map(roomcast_core::narration::Action::sentence));
     }
     Ok(sentences)

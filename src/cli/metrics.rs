@@ -5,9 +5,7 @@ use std::net::SocketAddr;
 use super::{CommandResult, Failure, service};
 use crate::http::HttpError;
 use crate::metrics::{self, MetricsError};
-use roomcast_services::{logging, notify};
-
-use crate::exit_code;
+use roomcast_services::notify;
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -19,9 +17,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> CommandResult {
-    let stop = service::stop()?;
-    let _log = logging::init();
-    let (config, domain) = args.service.load()?;
+    let (stop, _log, config, domain) = args.service.begin()?;
     let Some(address) = args.listen.or(config.metrics.listen) else {
         return Err(Failure::config(
             "metrics are off: set listen = \"127.0.0.1:9464\" in the section [metrics], or give --listen",
@@ -31,12 +27,9 @@ pub fn run(args: &Args) -> CommandResult {
         super::tell(format_args!("metrics at http://{address}/metrics"));
         notify::notify(&[sd_notify::NotifyState::Ready]);
     });
-    served.map_err(|error| {
-        let code = match error {
-            MetricsError::Http(HttpError::NotLoopback(_)) => exit_code::CONFIG,
-            MetricsError::Ipc(_) => exit_code::IPC,
-            MetricsError::Http(_) => exit_code::FAILURE,
-        };
-        Failure::new(code, error)
+    served.map_err(|error| match error {
+        MetricsError::Http(HttpError::NotLoopback(_)) => Failure::config(error),
+        MetricsError::Ipc(_) => Failure::ipc(error),
+        MetricsError::Http(_) => Failure::failed(error),
     })
 }

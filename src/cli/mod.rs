@@ -99,110 +99,126 @@ pub struct Cli {
     command: Command,
 }
 
-#[derive(Debug, Subcommand)]
-enum Command {
+macro_rules! commands {
+    ($($(#[$about:meta])* $([if $cfg:meta])? $name:ident($args:ty) $run:path;)*) => {
+        #[derive(Debug, Subcommand)]
+        enum Command {
+            $($(#[$about])* $(#[cfg($cfg)])? $name($args),)*
+        }
+
+        impl Command {
+            fn run(&self) -> CommandResult {
+                match self {
+                    $($(#[cfg($cfg)])? Self::$name(args) => $run(args),)*
+                }
+            }
+        }
+    };
+}
+
+commands! {
     /// The old name of `publish`.
-    #[cfg(feature = "publish")]
     #[command(hide = true)]
-    Bridge(publish::Args),
+    [if feature = "publish"]
+    Bridge(publish::Args) bridge;
     /// Print a completion script for a shell.
-    #[cfg(feature = "manuals")]
-    Completions(completions::Args),
+    [if feature = "manuals"]
+    Completions(completions::Args) completions::run;
     /// Print every key with its default, or check a file.
-    Config(config::Args),
+    Config(config::Args) config::run;
     /// Forecast where people will be (a service).
     ///
     /// It takes events from narrators, keeps what it knows about persons and habits, and sends scores and forecasts.
-    Daemon(daemon::Args),
+    Daemon(daemon::Args) daemon::run;
     /// Play a morning with a person and a robot.
     ///
     /// All parts run on this machine, apart from a running system.
-    #[cfg(feature = "demo")]
-    Demo(demo::Args),
+    [if feature = "demo"]
+    Demo(demo::Args) demo::run;
     /// Check this machine, and a home with --config.
     ///
     /// Each fault has a remedy. With --config: map, rules, broker, robot and services.
-    Doctor(doctor::Args),
+    Doctor(doctor::Args) doctor::run;
     /// Now a command of the program `roomcast-lab`.
     #[command(hide = true, disable_help_flag = true)]
-    Experiment(Moved),
+    Experiment(Moved) moved;
     /// Show why the scores are as they are.
     ///
     /// Rooms, labels, tokens and items of one moment, with the narration behind them.
-    #[cfg(all(feature = "simulation", feature = "recordings"))]
-    Explain(explain::Args),
+    [if all(feature = "simulation", feature = "recordings")]
+    Explain(explain::Args) explain::run;
     /// Show, teach, forget, export or import habits.
     ///
     /// Habits are what a running daemon has learned about this home.
-    Habits(habits::Args),
+    Habits(habits::Args) habits::run;
     /// Make a home's map, rules and configuration.
     ///
     /// It reads Home Assistant and a robot vacuum, and asks for missing values.
-    #[cfg(feature = "home")]
-    Init(init::Args),
+    [if feature = "home"]
+    Init(init::Args) init::run;
     /// Measure the time from an event to a decision.
     ///
     /// The parts run as processes, as in a home.
-    #[cfg(feature = "latency")]
-    Latency(latency::Args),
+    [if feature = "latency"]
+    Latency(latency::Args) latency::run;
     /// The other end of a measurement of `latency`, which starts it. Suggestions for a misspelt `latency` would name it if it began so.
     #[command(hide = true)]
-    #[cfg(feature = "latency")]
-    MeasuredEnd(latency::EndArgs),
+    [if feature = "latency"]
+    MeasuredEnd(latency::EndArgs) latency::run_end;
     /// Write the manual pages.
-    #[cfg(feature = "manuals")]
-    Man(man::Args),
+    [if feature = "manuals"]
+    Man(man::Args) man::run;
     /// Serve metrics for Prometheus (a service).
     ///
     /// Only on a loopback address.
-    #[cfg(feature = "metrics")]
-    Metrics(metrics::Args),
+    [if feature = "metrics"]
+    Metrics(metrics::Args) metrics::run;
     /// Inspect, check or download a language model.
-    Model(model::Args),
+    Model(model::Args) model::run;
     /// Report events of people and sensors.
     ///
     /// Activity programs, JSON lines, plain sentences, sensor logs, or messages of devices over MQTT.
-    Narrate(narrate::Args),
+    Narrate(narrate::Args) narrate::run;
     /// List, correct, rename or forget persons.
-    Person(person::Args),
+    Person(person::Args) person::run;
     /// Decide where the robot goes (a service).
     ///
     /// It applies a policy and the rules of the home to the forecast.
-    Planner(planner::Args),
+    Planner(planner::Args) planner::run;
     /// Publish rooms, persons and decisions over MQTT.
     ///
     /// For Home Assistant and others.
-    #[cfg(feature = "publish")]
-    Publish(publish::Args),
+    [if feature = "publish"]
+    Publish(publish::Args) publish::run;
     /// Record all messages into an MCAP file.
-    #[cfg(feature = "recordings")]
-    Record(record::Args),
+    [if feature = "recordings"]
+    Record(record::Args) record::run;
     /// Play a recording again, at any speed.
-    #[cfg(feature = "recordings")]
-    Replay(replay::Args),
+    [if feature = "recordings"]
+    Replay(replay::Args) replay::run;
     /// Send a robot's report or a person's order.
     ///
     /// Started, finished, failed, blocked, cancelled, docked, position, battery; hold, resume, clean, skip.
-    Report(report::Args),
+    Report(report::Args) report::run;
     /// Drive a robot vacuum; a dry run until --obey.
     ///
     /// A vacuum with Valetudo, or one that Home Assistant has.
-    #[cfg(feature = "robot")]
-    Robot(robot::Args),
+    [if feature = "robot"]
+    Robot(robot::Args) robot::run;
     /// Import, check, change, show or draw a map.
-    Scene(scene::Args),
+    Scene(scene::Args) scene::run;
     /// Score rooms and things after some sentences.
-    Score(score::Args),
+    Score(score::Args) score::run;
     /// Watch the running system in a terminal.
     ///
     /// Rooms over time, narration, likely objects, decisions, health.
-    #[cfg(feature = "top")]
-    Top(top::Args),
+    [if feature = "top"]
+    Top(top::Args) top::run;
     /// Watch it in a browser, live or recorded.
     ///
     /// The plan, where persons are and will be, and what the robot does.
-    #[cfg(feature = "view")]
-    View(view::Args),
+    [if feature = "view"]
+    View(view::Args) view::run;
 }
 
 /// The arguments of a command that another program has now.
@@ -212,14 +228,15 @@ struct Moved {
     words: Vec<String>,
 }
 
-impl From<Moved> for Failure {
-    fn from(Moved { words }: Moved) -> Self {
-        let command: Vec<_> = std::iter::once("roomcast-lab".to_owned()).chain(words).collect();
-        Self::new(
-            exit_code::USAGE,
-            format!("the experiments are in the program roomcast-lab now: {}", command.join(" ")),
-        )
-    }
+fn moved(Moved { words }: &Moved) -> CommandResult {
+    let command: Vec<_> = std::iter::once("roomcast-lab").chain(words.iter().map(String::as_str)).collect();
+    Err(Failure::usage(format!("the experiments are in the program roomcast-lab now: {}", command.join(" "))))
+}
+
+#[cfg(feature = "publish")]
+fn bridge(args: &publish::Args) -> CommandResult {
+    tell("roomcast: `roomcast bridge` is called `roomcast publish` now; the next version has no other name for it");
+    publish::run(args)
 }
 
 impl Command {
@@ -258,54 +275,5 @@ pub fn main() -> ExitCode {
         // When a pipe closes (`| head -1`), the command ends as usual programs do.
         sigpipe::reset();
     }
-    let result = match command {
-        #[cfg(feature = "publish")]
-        Command::Bridge(args) => {
-            tell(
-                "roomcast: `roomcast bridge` is called `roomcast publish` now; the next version has no other name for it",
-            );
-            publish::run(&args)
-        }
-        #[cfg(feature = "manuals")]
-        Command::Completions(args) => completions::run(&args),
-        Command::Config(args) => config::run(&args),
-        Command::Daemon(args) => daemon::run(&args),
-        #[cfg(feature = "demo")]
-        Command::Demo(args) => demo::run(&args),
-        Command::Doctor(args) => doctor::run(&args),
-        Command::Experiment(args) => Err(args.into()),
-        #[cfg(all(feature = "simulation", feature = "recordings"))]
-        Command::Explain(args) => explain::run(&args),
-        #[cfg(feature = "home")]
-        Command::Init(args) => init::run(&args),
-        #[cfg(feature = "latency")]
-        Command::Latency(args) => latency::run(&args),
-        #[cfg(feature = "latency")]
-        Command::MeasuredEnd(args) => latency::run_end(&args),
-        #[cfg(feature = "manuals")]
-        Command::Man(args) => man::run(&args),
-        #[cfg(feature = "metrics")]
-        Command::Metrics(args) => metrics::run(&args),
-        Command::Habits(args) => habits::run(&args),
-        Command::Model(args) => model::run(&args),
-        Command::Narrate(args) => narrate::run(&args),
-        Command::Person(args) => person::run(&args),
-        Command::Planner(args) => planner::run(&args),
-        #[cfg(feature = "publish")]
-        Command::Publish(args) => publish::run(&args),
-        #[cfg(feature = "recordings")]
-        Command::Record(args) => record::run(&args),
-        #[cfg(feature = "recordings")]
-        Command::Replay(args) => replay::run(&args),
-        Command::Report(args) => report::run(&args),
-        #[cfg(feature = "robot")]
-        Command::Robot(args) => robot::run(&args),
-        Command::Scene(args) => scene::run(&args),
-        Command::Score(args) => score::run(&args),
-        #[cfg(feature = "top")]
-        Command::Top(args) => top::run(&args),
-        #[cfg(feature = "view")]
-        Command::View(args) => view::run(&args),
-    };
-    ended("roomcast", result)
+    ended("roomcast", command.run())
 }

@@ -9,7 +9,6 @@ use serde_json::json;
 use super::choice::choice;
 use super::scene_files::write;
 use super::{CommandResult, Failure, count, print};
-use crate::exit_code;
 #[cfg(feature = "pull")]
 use crate::hub::{self, Hub, HubError, Request};
 use roomcast_cli::model::{elsewhere, rehearse};
@@ -332,7 +331,6 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
     Ok(())
 }
 
-/// The check in another process, which survives a crash of llama.cpp.
 /// The scores of a case, by each method.
 struct Compared {
     /// Equation 1 comes first, for the known scores.
@@ -449,12 +447,10 @@ fn compare(case: &KnownCase, sha256: &str, scores: &[f64]) -> Checked {
 
 #[cfg(feature = "pull")]
 fn read_token(path: &Path) -> Result<String, Failure> {
-    let token = std::fs::read_to_string(path).map_err(|error| error.to_string());
-    let token = token.map(|token| token.trim().to_owned()).and_then(|token| {
-        let plain = !token.is_empty() && token.bytes().all(|byte| byte.is_ascii_graphic());
-        plain.then_some(token).ok_or_else(|| "it holds no token on one line".into())
-    });
-    token.map_err(|error| Failure::input(format!("failed to read the token file {}: {error}", path.display())))
+    let fault = |why: String| Failure::input(format!("failed to read the token file {}: {why}", path.display()));
+    let token = std::fs::read_to_string(path).map_err(|error| fault(error.to_string()))?.trim().to_owned();
+    let is_plain = !token.is_empty() && token.bytes().all(|byte| byte.is_ascii_graphic());
+    if is_plain { Ok(token) } else { Err(fault("it holds no token on one line".to_owned())) }
 }
 
 #[cfg(feature = "pull")]
@@ -463,13 +459,10 @@ fn pull(hub: &Hub, request: &Request<'_>, as_json: bool) -> CommandResult {
     let style = indicatif::ProgressStyle::with_template("{wide_bar} {decimal_bytes}/{decimal_total_bytes} {eta}");
     let progress = indicatif::ProgressBar::new(0);
     let progress = style.map_or(progress.clone(), |style| progress.with_style(style));
-    let pulled = hub.pull(request, &progress).map_err(|error| {
-        let code = match error {
-            HubError::Name { .. } => exit_code::USAGE,
-            HubError::Checksum { .. } | HubError::Model(_) => exit_code::MODEL,
-            _ => exit_code::FAILURE,
-        };
-        Failure::new(code, error)
+    let pulled = hub.pull(request, &progress).map_err(|error| match error {
+        HubError::Name { .. } => Failure::usage(error),
+        HubError::Checksum { .. } | HubError::Model(_) => Failure::model(error),
+        _ => Failure::failed(error),
     })?;
     if as_json {
         let mut description = describe(&pulled.path, &pulled.header, &pulled.sha256);
@@ -491,6 +484,7 @@ fn pull(hub: &Hub, request: &Request<'_>, as_json: bool) -> CommandResult {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::exit_code;
 
     /// The checking process gets the same options, for any file name.
     #[test]

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use serde_json::json;
+
 use super::{CommandResult, Failure, print_json, ranges, service};
 #[cfg(feature = "mqtt")]
 use super::{broker, narrate_mqtt};
@@ -11,7 +13,6 @@ use roomcast_services::clock;
 use roomcast_services::config::Config;
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion, UNDERSTOOD_MAX, UnderstoodLine};
 use roomcast_services::dry_run::DryRun;
-use roomcast_services::logging;
 use roomcast_services::narrator::{self, Input, Outcome, Pace, Who};
 use roomcast_services::sensor_log::SensorRules;
 use roomcast_services::stop::Stop;
@@ -75,15 +76,10 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> CommandResult {
-    let stop = service::stop()?;
-    let _log = logging::init();
-    let (mut config, domain) = args.service.load()?;
-    let narrator = &mut config.narrator;
-    if let Some(name) = &args.name {
-        narrator.name.clone_from(name);
-    }
-    narrator.linger_s = args.linger.unwrap_or(narrator.linger_s);
-    config.check().map_err(Failure::config)?;
+    let (stop, _log, mut config, domain) = args.service.begin()?;
+    service::replace(&mut config.narrator.name, &args.name);
+    service::replace(&mut config.narrator.linger_s, &args.linger);
+    config.check()?;
     let pace = args.pace.map_or(Pace::Speed(args.speed), Pace::Seconds);
     let person = args.person.clone().unwrap_or_default();
     #[cfg(feature = "mqtt")]
@@ -190,8 +186,8 @@ fn publish(config: &Config, domain: &Domain, source: Input, pace: Pace, stop: &S
 
 fn report(args: &Args, outcome: &Outcome, domain: &Domain, stopped: Option<Stopped>) -> CommandResult {
     if args.json {
-        let mut printed = serde_json::to_value(outcome).map_err(Failure::failed)?;
-        printed["understood"] = serde_json::to_value(understood(outcome, domain)).unwrap_or_default();
+        let mut printed = json!(outcome);
+        printed["understood"] = json!(understood(outcome, domain));
         print_json(&printed)?;
     }
     match stopped {

@@ -56,13 +56,10 @@ enum Action {
 #[derive(Debug, clap::Args)]
 struct Common {
     #[command(flatten)]
-    service: service::Args,
+    asking: service::Asking,
     /// Print the daemon's answer as JSON.
     #[arg(long)]
     json: bool,
-    /// Seconds to wait for the daemon.
-    #[arg(long, value_name = "SECONDS", default_value_t = 10)]
-    patience: u64,
 }
 
 pub fn run(args: &Args) -> CommandResult {
@@ -76,9 +73,7 @@ pub fn run(args: &Args) -> CommandResult {
         }
         Action::Correct { who, room, common } => return correct(who, room, common),
     };
-    let (_, domain) = common.service.load()?;
-    let asker = service::Asker::new(&domain, "roomcast-person", question::PERSON, common.patience)?;
-    let answer: PersonAnswer = asker.ask(&question)?;
+    let answer: PersonAnswer = common.asking.asker("roomcast-person", question::PERSON)?.ask(&question)?;
     if common.json {
         super::print_json(&answer)?;
     }
@@ -113,10 +108,10 @@ fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     let is_away = is_away(room);
     let text = if is_away { "away".to_owned() } else { format!("present in the {room}") };
     let event = Event::presence(&text).map_err(|error| Failure::usage(error.to_string()))?;
-    let (mut config, domain) = common.service.load()?;
+    let (mut config, domain) = common.asking.service.load()?;
     config.narrator.name = CORRECTIONS.to_owned();
-    config.narrator.linger_s = common.patience as f64;
-    let known = domain.persons(Duration::from_secs(common.patience))?;
+    config.narrator.linger_s = common.asking.patience as f64;
+    let known = domain.persons(Duration::from_secs(common.asking.patience))?;
     let names: Vec<String> =
         known.iter().map(|one| one.name.clone().unwrap_or_else(|| one.person.to_string())).collect();
     let mut nameable = known
@@ -130,7 +125,7 @@ fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
         let names = if names.is_empty() { "no person yet".to_owned() } else { names.join(", ") };
         return Err(Failure::input(format!("no person {who:?}: the daemon knows {names}{meant}")));
     }
-    let asker = service::Asker::new(&domain, CORRECTIONS, question::PERSON, common.patience)?;
+    let asker = service::Asker::new(&domain, CORRECTIONS, question::PERSON, common.asking.patience)?;
     let refused = |why: &str| Failure::input(format!("the daemon changed no belief: {why}"));
     if let Event::Present(Some(room)) = event {
         // A room that the map lacks would make the person present in any room.

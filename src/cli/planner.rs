@@ -6,7 +6,7 @@ use super::choice::{self, choice};
 use super::{CommandResult, Failure, ranges, service};
 use roomcast_core::policy::PolicyName;
 use roomcast_services::config::{Forced, PlannerConfig, Reports};
-use roomcast_services::{logging, planner};
+use roomcast_services::planner;
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -53,9 +53,7 @@ pub struct Args {
 impl Args {
     /// Overrides the configuration by the command line.
     fn apply(&self, planned: &mut PlannerConfig) -> Result<(), String> {
-        if let Some(robot) = &self.robot {
-            planned.robot.clone_from(robot);
-        }
+        service::replace(&mut planned.robot, &self.robot);
         planned.policy = self.policy.unwrap_or(planned.policy);
         planned.seed = self.seed.unwrap_or(planned.seed);
         planned.room_time_s = self.room_time.unwrap_or(planned.room_time_s);
@@ -83,14 +81,10 @@ impl Args {
 }
 
 pub fn run(args: &Args) -> CommandResult {
-    let stop = service::stop()?;
-    let _log = logging::init();
-    let (mut config, domain) = args.service.load()?;
+    let (stop, _log, mut config, domain) = args.service.begin()?;
     args.apply(&mut config.planner).map_err(Failure::usage)?;
-    if args.scene.is_some() {
-        config.scene.path.clone_from(&args.scene);
-    }
-    config.check().map_err(Failure::config)?;
+    config.scene.path = args.scene.clone().or(config.scene.path);
+    config.check()?;
     planner::run(&config, &domain, &stop).map_err(Failure::ipc)
 }
 

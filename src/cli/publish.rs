@@ -4,7 +4,6 @@ use std::io::Write;
 
 use super::{CommandResult, Failure, broker, service};
 use crate::publish::{self, BridgeError, Way};
-use roomcast_services::logging;
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -40,13 +39,9 @@ struct MqttArgs {
 
 pub fn run(args: &Args) -> CommandResult {
     let To::Mqtt(args) = &args.to;
-    let stop = service::stop()?;
-    let _log = logging::init();
-    let (mut config, domain) = args.service.load()?;
-    if let Some(topic) = &args.topic {
-        config.bridge.topic.clone_from(topic);
-    }
-    config.check().map_err(Failure::config)?;
+    let (stop, _log, mut config, domain) = args.service.begin()?;
+    service::replace(&mut config.bridge.topic, &args.topic);
+    config.check()?;
     let done = if args.dry_run {
         let mut print = |topic: &str, payload: &str| {
             let line = serde_json::json!({ "topic": topic, "payload": payload, "retain": true });

@@ -15,13 +15,12 @@ use roomcast_services::clock;
 use super::choice::choice;
 use super::top::{SILENCE, silence};
 use super::{CommandResult, Failure, count, ranges, service};
-use roomcast_services::logging::{self, Limiter};
+use roomcast_services::logging::Limiter;
 use roomcast_services::moment::Moment;
 use roomcast_services::recording::ros2::Ros2Recorder;
 use roomcast_services::recording::{self, Profile, Received, Recorded, Recorder, Recording, RecordingError};
 
 use crate::decided::{Decided, News};
-use crate::exit_code;
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -63,7 +62,7 @@ pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
 pub(super) fn read_until(path: &Path, is_stopped: &dyn Fn() -> bool) -> Result<Recording, Failure> {
     let recording = recording::read_until(path, is_stopped).map_err(|error| match error {
         RecordingError::Stopped { .. } => Failure::interrupted(error),
-        error => Failure::input(error),
+        _ => Failure::input(error),
     })?;
     if recording.is_torn {
         tell_torn(path, &format!(", {}", count(recording.messages.len(), "message")));
@@ -256,17 +255,12 @@ pub fn run(args: &Args) -> CommandResult {
         let why = "a recording goes into a file, not to standard output: its index is written last and points back; give a file's name";
         return Err(Failure::usage(why));
     }
-    let stop = service::stop()?;
-    let _log = logging::init();
-    let (config, domain) = args.service.load()?;
+    let (stop, _log, config, domain) = args.service.begin()?;
     let node = domain.open("roomcast-record")?;
     let ports = Ports::new(&node)?;
-    let output = |error| {
-        let code = match error {
-            RecordingError::Exists { .. } => exit_code::INPUT,
-            _ => exit_code::FAILURE,
-        };
-        Failure::new(code, error)
+    let output = |error| match error {
+        RecordingError::Exists { .. } => Failure::input(error),
+        _ => Failure::failed(error),
     };
     let mut recorder = Output::create(args, &config.planner.robot).map_err(output)?;
     let mut moments = Moments::start(&node)?;

@@ -5,8 +5,8 @@ use std::io::Write;
 use super::choice::choice;
 use super::{CommandResult, Failure, broker, service};
 use roomcast_services::config::RobotKind;
+use roomcast_services::setup;
 use roomcast_services::vacuum::{self, DriveError, Way};
-use roomcast_services::{logging, setup};
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -29,19 +29,12 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> CommandResult {
-    let stop = service::stop()?;
-    let _log = logging::init();
-    let (mut config, domain) = args.service.load()?;
-    let robot = &mut config.robot;
-    robot.kind = args.kind.unwrap_or(robot.kind);
-    robot.obey |= args.obey;
-    if let Some(topic) = &args.topic {
-        robot.topic.clone_from(topic);
-    }
-    if let Some(name) = &args.robot {
-        config.planner.robot.clone_from(name);
-    }
-    config.check().map_err(Failure::config)?;
+    let (stop, _log, mut config, domain) = args.service.begin()?;
+    config.robot.obey |= args.obey;
+    service::replace(&mut config.robot.kind, &args.kind);
+    service::replace(&mut config.robot.topic, &args.topic);
+    service::replace(&mut config.planner.robot, &args.robot);
+    config.check()?;
     // Rooms may be named by other words than the map's ids.
     if !config.robot.segments.is_empty() {
         let map = setup::load_map(config.scene.path.as_deref())?;

@@ -14,7 +14,7 @@ use super::choice::choice;
 #[cfg(feature = "simulation")]
 use super::draw;
 use super::scene_files::{in_file, input, load, read, write};
-use super::{CommandResult, Failure, count, print, ranges, scene_import, service, table};
+use super::{CommandResult, Failure, count, print, scene_import, service, table};
 use crate::columns::prose;
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
@@ -60,15 +60,12 @@ struct Change {
 #[derive(Debug, clap::Args)]
 struct Apply {
     #[command(flatten)]
-    service: service::Args,
+    asking: service::Asking,
     /// A JSON list of changes, `-` for standard input; scenes/README.md documents them.
     changes: PathBuf,
     /// Apply them only if the map in use has this fingerprint (`roomcast scene show --json` of its file prints it).
     #[arg(long, value_name = "HEX")]
     expect: Option<String>,
-    /// Seconds to wait for the daemon.
-    #[arg(long, value_name = "SECONDS", default_value_t = 10, value_parser = ranges::any())]
-    patience: u64,
     /// Print the daemon's answer as JSON.
     #[arg(long)]
     json: bool,
@@ -116,7 +113,7 @@ fn change(args: &Change) -> CommandResult {
     let json = read("changes", &args.changes)?;
     let changed = delta::parse_changes(&json).and_then(|changes| map.changed(changes));
     let changed = changed.map_err(|error| in_file("changes", &args.changes, &error))?;
-    let after = before.regroup(&changed, &GroundingOptions::default()).map_err(input)?;
+    let after = before.regroup(&changed, &GroundingOptions::default())?;
     write(&args.out, changed.to_json().as_bytes())?;
     print(&format!(
         "{}: {}, {}, {} outside, {} that the map did not have\n",
@@ -129,7 +126,6 @@ fn change(args: &Change) -> CommandResult {
 }
 
 fn apply(args: &Apply) -> CommandResult {
-    let (_, domain) = args.service.load()?;
     let json = if args.changes.as_os_str() == "-" {
         std::io::read_to_string(std::io::stdin())
             .map_err(|error| input(format!("cannot read standard input: {error}")))?
@@ -141,8 +137,7 @@ fn apply(args: &Apply) -> CommandResult {
         expected_map: args.expect.clone(),
         changes: delta::parse_changes(&json).map_err(|error| in_file("changes", &args.changes, &error))?,
     };
-    let asker = service::Asker::new(&domain, "roomcast-scene", question::MAP_CHANGE, args.patience)?;
-    let answer: MapAnswer = asker.ask(&question)?;
+    let answer: MapAnswer = args.asking.asker("roomcast-scene", question::MAP_CHANGE)?.ask(&question)?;
     if args.json {
         super::print_json(&answer)?;
     }

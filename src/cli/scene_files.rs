@@ -62,7 +62,7 @@ pub(super) fn write(path: &Path, bytes: &[u8]) -> CommandResult {
 
 pub(super) fn load(path: &Path, level: PartitionLevel) -> Result<(SemanticMap, Grounding), Failure> {
     let map = setup::load_map(Some(path))?;
-    let grounding = Grounding::new(&map, &GroundingOptions { level, room_labels: true }).map_err(input)?;
+    let grounding = Grounding::new(&map, &GroundingOptions { level, room_labels: true })?;
     Ok((map, grounding))
 }
 

@@ -75,10 +75,10 @@ pub struct Args {
     cache: CacheType,
     /// How many labels and items the tables show.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = ranges::whole(0..=usize::MAX))]
-    top: usize,
+    pub(super) top: usize,
     /// Print everything as one JSON object.
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
 }
 
 pub fn run(args: &Args) -> CommandResult {
@@ -107,14 +107,6 @@ impl Args {
     pub(super) fn binding(&self) -> BindingSequence {
         self.binding.clone().unwrap_or_default()
     }
-
-    pub(super) fn top(&self) -> usize {
-        self.top
-    }
-
-    pub(super) fn json(&self) -> bool {
-        self.json
-    }
 }
 
 /// The pipeline after its one step, and its map.
@@ -127,7 +119,7 @@ pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap),
         return usage("--deadline-ms says nothing without --effort deadline: give both, or neither");
     }
     let map = setup::load_map(args.scene.as_deref())?;
-    let grounding = Grounding::new(&map, &args.grounding()).map_err(Failure::input)?;
+    let grounding = Grounding::new(&map, &args.grounding())?;
     let observations = observations(args)?;
     let model = model::load(args.model.as_deref(), &args.llama_options())?;
     let options = PipelineOptions {
@@ -136,9 +128,7 @@ pub(super) fn scored(args: &Args) -> Result<(Pipeline<LlamaModel>, SemanticMap),
         correction: args.correction.into(),
         method: args.method,
         effort: args.effort,
-        deadline_ns: args
-            .deadline_ms
-            .map_or(PipelineOptions::default().deadline_ns, |milliseconds| milliseconds * 1_000_000),
+        deadline_ns: args.deadline_ms.map_or(PipelineOptions::default().deadline_ns, |ms| ms * 1_000_000),
         history: HistoryLimits::exact(args.history),
     };
     let mut pipeline = Pipeline::new(model, grounding, options).map_err(Failure::model)?;
@@ -159,19 +149,17 @@ fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
             )));
         }
         for action in &program.steps[..steps] {
-            sentences.push(Sentence::new(&action.sentence()).map_err(Failure::input)?);
+            sentences.push(Sentence::new(&action.sentence())?);
         }
     }
-    for line in
-        args.text.as_deref().or(args.narration.as_deref()).unwrap_or_default().lines().filter(|l| !l.trim().is_empty())
-    {
+    let text = args.text.as_deref().or(args.narration.as_deref()).unwrap_or_default();
+    for line in text.lines() {
         if line.trim_start().starts_with('[') {
-            let action = Action::parse(line).map_err(Failure::input)?;
-            sentences.push(Sentence::new(&action.sentence()).map_err(Failure::input)?);
-        } else {
-            for sentence in line.split_inclusive(". ").filter(|s| !s.trim().is_empty()) {
-                sentences.push(Sentence::new(sentence).map_err(Failure::input)?);
-            }
+            sentences.push(Sentence::new(&Action::parse(line)?.sentence())?);
+            continue;
+        }
+        for sentence in line.split_inclusive(". ").filter(|sentence| !sentence.trim().is_empty()) {
+            sentences.push(Sentence::new(sentence)?);
         }
     }
     Ok((0..).zip(sentences).map(|(sequence, sentence)| Observation::of(sequence, sentence)).collect())

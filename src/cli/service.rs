@@ -8,7 +8,7 @@ use roomcast_ipc::{Domain, QuestionPort, sequence};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{Failure, stage};
+use super::{Failure, ranges, stage};
 use crate::exit_code;
 use roomcast_services::config::Config;
 use roomcast_services::logging;
@@ -63,20 +63,43 @@ impl Args {
         self.config.as_deref()
     }
 
+    /// The start of a service.
+    pub fn begin(&self) -> Result<(Stop, logging::Log, Config, Domain), Failure> {
+        let (stop, log) = (stop()?, logging::init());
+        let (config, domain) = self.load()?;
+        Ok((stop, log, config, domain))
+    }
+
     /// Reads the configuration and names the domain.
     pub fn load(&self) -> Result<(Config, Domain), Failure> {
-        let mut config = match &self.config {
-            Some(path) => Config::load(path).map_err(Failure::config)?,
-            None => Config::default(),
-        };
-        if self.root.is_some() {
-            config.ipc.root.clone_from(&self.root);
-        }
-        if let Some(name) = &self.domain {
-            config.ipc.domain.clone_from(name);
-        }
+        let mut config = self.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
+        config.ipc.root = self.root.clone().or(config.ipc.root);
+        replace(&mut config.ipc.domain, &self.domain);
         let domain = config.ipc.domain().map_err(Failure::config)?;
         Ok((config, domain))
+    }
+}
+
+/// Replaces a value of the configuration if the command line has one.
+pub fn replace<T: Clone>(configured: &mut T, given: &Option<T>) {
+    if let Some(given) = given {
+        configured.clone_from(given);
+    }
+}
+
+/// Arguments of a question to the daemon.
+#[derive(Debug, clap::Args)]
+pub struct Asking {
+    #[command(flatten)]
+    pub service: Args,
+    /// Seconds to wait for the daemon.
+    #[arg(long, value_name = "SECONDS", default_value_t = 10, value_parser = ranges::any())]
+    pub patience: u64,
+}
+
+impl Asking {
+    pub fn asker(&self, participant: &str, service: &'static str) -> Result<Asker, Failure> {
+        Asker::new(&self.service.load()?.1, participant, service, self.patience)
     }
 }
 
@@ -89,8 +112,7 @@ pub struct Asker {
 impl Asker {
     /// Joins the domain as `participant`, to ask on `service` and wait `patience_s` seconds for each answer.
     pub fn new(domain: &Domain, participant: &str, service: &'static str, patience_s: u64) -> Result<Self, Failure> {
-        let port = domain.open(participant).and_then(|node| node.question_port(service));
-        let port = port?;
+        let port = domain.open(participant).and_then(|node| node.question_port(service))?;
         Ok(Self { port, patience: Duration::from_secs(patience_s) })
     }
 

@@ -4,7 +4,6 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use super::{CommandResult, Failure, record, service};
-use crate::exit_code;
 use crate::http::HttpError;
 use crate::view::{self, Place, ViewError};
 use roomcast_services::{logging, notify};
@@ -25,8 +24,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> CommandResult {
-    let stop = service::stop()?;
-    let _log = logging::init();
+    let (stop, _log) = (service::stop()?, logging::init());
     let place = if args.no_key { Place { address: args.listen, key: None } } else { Place::with_key(args.listen) };
     let ready = |address: SocketAddr| {
         super::tell(format_args!("open {} in a browser on this machine", place.url(address)));
@@ -47,12 +45,9 @@ pub fn run(args: &Args) -> CommandResult {
             view::run(&place, &domain, &config.planner.robot, state.as_deref(), &stop, ready)
         }
     };
-    served.map_err(|error| {
-        let code = match &error {
-            ViewError::Http(HttpError::NotLoopback(_)) => exit_code::USAGE,
-            ViewError::Ipc(_) => exit_code::IPC,
-            ViewError::Http(_) => exit_code::FAILURE,
-        };
-        Failure::new(code, error)
+    served.map_err(|error| match error {
+        ViewError::Http(HttpError::NotLoopback(_)) => Failure::usage(error),
+        ViewError::Ipc(_) => Failure::ipc(error),
+        ViewError::Http(_) => Failure::failed(error),
     })
 }

@@ -16,7 +16,7 @@ use roomcast_services::participant::{DRIVER, OfRobot, PLANNER};
 use super::finding::{Finding, Place, rules_of_no_room, segment_of_no_room, segments_at_odds, some_of};
 #[cfg(feature = "mqtt")]
 use super::home_mqtt;
-use crate::cli::count;
+use crate::cli::{count, service};
 
 /// Timeout of the daemon's status.
 const STATUS_MAX: Duration = Duration::from_secs(2);
@@ -210,48 +210,35 @@ fn services(config: &Config, map: Option<&SemanticMap>, domain: &Domain, place: 
     let narrates = config.mqtt.rules.is_some();
     let bridges = config.mqtt.broker.is_some();
     let all = [
-        ("daemon", true, runs("roomcast-daemon"), format!("roomcast daemon --config {file}")),
-        ("narrator", narrates, runs("roomcast-narrator-"), format!("roomcast narrate --mqtt --config {file}")),
-        ("planner", has_robot, serves(PLANNER), format!("roomcast planner --config {file}")),
-        ("robot", has_robot, serves(DRIVER), format!("roomcast robot --config {file}")),
-        ("bridge", bridges, runs("roomcast-publish"), format!("roomcast publish mqtt --config {file}")),
+        ("daemon", true, runs("roomcast-daemon"), "daemon"),
+        ("narrator", narrates, runs("roomcast-narrator-"), "narrate --mqtt"),
+        ("planner", has_robot, serves(PLANNER), "planner"),
+        ("robot", has_robot, serves(DRIVER), "robot"),
+        ("bridge", bridges, runs("roomcast-publish"), "publish mqtt"),
     ];
     let missing: Vec<_> = all.iter().filter(|(_, wanted, runs, _)| *wanted && !runs).collect();
     let running: Vec<&str> = all.iter().filter(|(_, _, runs, _)| *runs).map(|(name, ..)| *name).collect();
     if running.is_empty() {
         let names = some_of(missing.iter().map(|(name, ..)| *name));
-        let first = format!("start them, each in a terminal of its own or as a unit; first: {}", all[0].3);
+        let first =
+            format!("start them, each in a terminal of its own or as a unit; first: roomcast daemon --config {file}");
         return vec![Finding::limited(check, format!("nothing runs yet: {names}"), first)];
     }
     let mut findings = vec![Finding::good(check, format!("running: {}", some_of(running.iter().copied())))];
-    for (name, _, _, start) in missing {
+    for (name, _, _, command) in missing {
         // Without the daemon there is no forecast, and without its planner a robot does nothing, as does a home without narration.
-        let found = format!(
-            "{} runs, and no {name} does, in the domain {} at {}",
-            running[0],
-            domain.name(),
-            domain.root().display()
-        );
+        let found = format!("{} runs, and no {name} does, in {}", running[0], service::shown(domain));
+        let start = format!("roomcast {command} --config {file}");
         findings.push(match *name {
-            "bridge" | "robot" => Finding::limited(name_of(name), found, start.clone()),
-            _ => Finding::wrong(name_of(name), found, start.clone()),
+            "robot" => Finding::limited("robot service", found, start),
+            "bridge" => Finding::limited(name, found, start),
+            _ => Finding::wrong(name, found, start),
         });
     }
     if running.contains(&"daemon") {
         findings.push(daemon(map, &node, &file));
     }
     findings
-}
-
-/// Names of checks are static.
-fn name_of(service: &str) -> &'static str {
-    match service {
-        "daemon" => "daemon",
-        "narrator" => "narrator",
-        "planner" => "planner",
-        "robot" => "robot service",
-        _ => "bridge",
-    }
 }
 
 /// A fast clock of a narrator, as the daemon has measured it.
@@ -274,11 +261,8 @@ fn daemon(map: Option<&SemanticMap>, node: &roomcast_ipc::Node, file: &str) -> F
     };
     if map.is_some_and(|map| map.fingerprint() != status.map_fingerprint) {
         let found = format!("the daemon uses another map ({}) than {file} names", status.map());
-        return Finding::limited(
-            check,
-            found,
-            "start the daemon again, unless the map was changed while it runs (scene apply)",
-        );
+        let remedy = "start the daemon again, unless the map was changed while it runs (scene apply)";
+        return Finding::limited(check, found, remedy);
     }
     if status.version() != env!("CARGO_PKG_VERSION") {
         let found = format!("the daemon is version {}, this is {}", status.version(), env!("CARGO_PKG_VERSION"));
@@ -291,11 +275,8 @@ fn daemon(map: Option<&SemanticMap>, node: &roomcast_ipc::Node, file: &str) -> F
     if status.journal_failures > 0 {
         let found =
             format!("its state database had {} since it started", count(status.journal_failures as usize, "fault"));
-        return Finding::limited(
-            check,
-            found,
-            "its log says why; after failed writes a restart knows less of who is where",
-        );
+        let remedy = "its log says why; after failed writes a restart knows less of who is where";
+        return Finding::limited(check, found, remedy);
     }
     if let Some(finding) = fast_clock(status.ahead, status.ahead_ns) {
         return finding;

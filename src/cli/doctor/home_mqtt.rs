@@ -35,11 +35,8 @@ pub(super) fn checks(config: &Config, home: Option<(&SemanticMap, &Grounding)>, 
         None if config.mqtt.broker.is_some() => {
             let found =
                 format!("{} names a broker and no rules, so nothing is narrated of its messages", place.shown());
-            findings.push(Finding::limited(
-                "rules",
-                found,
-                "set mqtt.rules; roomcast init writes rules from Home Assistant",
-            ));
+            let remedy = "set mqtt.rules; roomcast init writes rules from Home Assistant";
+            findings.push(Finding::limited("rules", found, remedy));
             None
         }
         None => None,
@@ -290,11 +287,8 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
         topics.iter().map(|(topic, _)| *topic).filter(|topic| is_of_people(topic) && !is_fitted(topic)).collect();
     if !unnamed.is_empty() {
         let found = format!("{shown}: no rule reads {}: {}", count(unnamed.len(), "topic"), some_of(unnamed));
-        findings.push(Finding::limited(
-            "unnamed topics",
-            found,
-            "write rules for those that say what people do; leave the others",
-        ));
+        let remedy = "write rules for those that say what people do; leave the others";
+        findings.push(Finding::limited("unnamed topics", found, remedy));
     }
     findings
 }
@@ -471,35 +465,25 @@ fn robot(config: &Config, map: Option<&SemanticMap>, seen: &Seen, place: &Place<
     }
     let mut findings = Vec::new();
     if heard.online == Some(false) {
-        findings.push(Finding::wrong(
-            check,
-            format!("the robot under {topic} is not connected"),
-            "switch it on, and see whether its Wi-Fi reaches it",
-        ));
+        let found = format!("the robot under {topic} is not connected");
+        let remedy = "switch it on, and see whether its Wi-Fi reaches it";
+        findings.push(Finding::wrong(check, found, remedy));
     } else if heard.status == Some(Status::Error) {
         let fault = if heard.fault.is_empty() { "it does not say which" } else { &heard.fault };
-        findings.push(Finding::wrong(
-            check,
-            format!("the robot under {topic} has an error: {fault}"),
-            "go and free it",
-        ));
+        let found = format!("the robot under {topic} has an error: {fault}");
+        let remedy = "go and free it";
+        findings.push(Finding::wrong(check, found, remedy));
     } else if !config.robot.obey {
         let found = format!("the robot speaks under {topic}, and is told nothing yet");
-        findings.push(Finding::limited(
-            check,
-            found,
-            format!("when what `roomcast robot` prints is right: obey = true in [robot] of {}", place.shown()),
-        ));
+        let remedy = format!("when what `roomcast robot` prints is right: obey = true in [robot] of {}", place.shown());
+        findings.push(Finding::limited(check, found, remedy));
     } else {
         findings.push(Finding::good(check, format!("speaks under {topic}, and obeys")));
     }
     if config.robot.obey && config.planner.reports != roomcast_services::config::Reports::Always {
         let found = "the robot obeys, and by planner.reports the clock may say that a room is done";
-        findings.push(Finding::limited(
-            "planner",
-            found,
-            format!("set reports = \"always\" in [planner] of {}", place.shown()),
-        ));
+        let remedy = format!("set reports = \"always\" in [planner] of {}", place.shown());
+        findings.push(Finding::limited("planner", found, remedy));
     }
     if config.robot.kind == RobotKind::HomeAssistant && !heard.battery {
         findings.push(no_battery(config, seen));
@@ -612,10 +596,8 @@ fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, Stri
         return Finding::wrong(check, found, remedy);
     }
     let Some((room, why)) = wrong.first() else {
-        return Finding::good(
-            check,
-            format!("each of {} is a segment of the robot's map", count(map.rooms().len(), "room")),
-        );
+        let found = format!("each of {} is a segment of the robot's map", count(map.rooms().len(), "room"));
+        return Finding::good(check, found);
     };
     let names = some_of(wrong.iter().map(|(room, _)| *room));
     let found = format!(

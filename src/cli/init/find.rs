@@ -439,5 +439,5 @@ fn checked_residents(names: &[String]) -> CommandResult {
     }
     let mut config = Config::default();
     config.persons.residents = names.to_vec();
-    config.check().map_err(Failure::config)
+    Ok(config.check()?)
 }
