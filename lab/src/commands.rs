@@ -341,7 +341,7 @@ fn maps(paths: &[PathBuf]) -> Result<Vec<(SemanticMap, Grounding)>, Failure> {
             );
             return Err(Failure::input(fault));
         }
-        let grounding = Grounding::new(&map, &GroundingOptions::default()).map_err(Failure::input)?;
+        let grounding = Grounding::new(&map, &GroundingOptions::default())?;
         maps.push((map, grounding));
     }
     Ok(maps)

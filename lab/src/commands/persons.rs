@@ -158,12 +158,7 @@ fn text(rows: &[Row]) -> String {
     let columns: [Column<'_, Row>; 14] = [
         ("residents", &|row| row.residents.to_string()),
         ("without", &|row| row.without.join(", ")),
-        ("method", &|row| match row.method {
-            Method::Tracker => "tracker".to_owned(),
-            Method::Exact => "exact".to_owned(),
-            Method::Assigned => "a filter per person".to_owned(),
-            Method::LastSensor => "last sensor".to_owned(),
-        }),
+        ("method", &|row| <&str>::from(row.method).to_owned()),
         ("right %", &|row| format!("{:.1}", 100.0 * row.right)),
         ("rooms %", &|row| format!("{:.1}", 100.0 * row.rooms)),
         ("with 1, 2 visitors", &|row| row.rooms_visited.map(|rooms| format!("{:.1}", 100.0 * rooms)).join(", ")),

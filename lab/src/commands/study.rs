@@ -171,12 +171,11 @@ pub(super) struct ParetoArgs {
     study: StudyArgs,
 }
 
-type Scene = (SemanticMap, Grounding);
 type Pictures = Vec<(String, String)>;
 
 struct Setup<'a> {
     args: &'a StudyArgs,
-    scenes: Vec<Scene>,
+    scenes: Vec<(SemanticMap, Grounding)>,
     activities: Vec<Named>,
     /// Whether the paper's figures apply: places, activities, T_r, disturbance and pace are the paper's.
     is_of_the_paper: bool,
@@ -236,51 +235,38 @@ impl StudyArgs {
 }
 
 impl Setup<'_> {
-    fn homes<'s>(
-        &self,
-        (map, grounding): &'s Scene,
-        source: &mut ScoreSource<LlamaModel>,
-        binding: &BindingSequence,
-        options: &Options,
-        skipped: &mut Vec<String>,
-    ) -> Result<Vec<Home<'s>>, Failure> {
-        let at_once = if self.args.together { self.activities.len() } else { 1 };
-        let shortest_s = self.room_times_s.iter().max().copied().unwrap_or(0) * map.rooms().len();
-        let mut homes = Vec::with_capacity(self.activities.len());
-        for group in self.activities.chunks(at_once.max(1)) {
-            let activities: Vec<_> = group.iter().map(|own| (own.drawn_by.clone(), &own.activity)).collect();
-            let home = Home::new(map, grounding, &activities, source, binding, options).map(|mut home| {
-                home.program = group.iter().map(|own| own.name.as_str()).collect::<Vec<_>>().join(" + ");
-                home
-            });
-            match home {
-                Ok(home) if !self.folders || home.cost().steps() >= shortest_s => homes.push(home),
-                Ok(home) => skipped.push(format!(
-                    "{} in {}: its {} s leave no time to do every room for {} s",
-                    home.program,
-                    map.name(),
-                    home.cost().steps(),
-                    shortest_s / map.rooms().len().max(1)
-                )),
-                // A scene may lack all objects of an activity without effect on the others.
-                Err(StudyError::Timeline(error @ TimelineError::Empty { .. })) => skipped.push(error.to_string()),
-                Err(StudyError::Timeline(error)) if self.folders => skipped.push(error.to_string()),
-                Err(error) => return Err(error.into()),
-            }
-        }
-        Ok(homes)
-    }
-
-    fn all_homes(
+    fn homes(
         &self,
         sources: &mut [ScoreSource<LlamaModel>],
         binding: &BindingSequence,
         options: &Options,
     ) -> Result<Vec<Home<'_>>, Failure> {
+        let at_once = if self.args.together { self.activities.len().max(1) } else { 1 };
+        let room_time_s = self.room_times_s.iter().max().copied().unwrap_or(0);
         let (mut homes, mut skipped) = (Vec::new(), Vec::new());
         let progress = Progress::new("scoring", self.scenes.len());
-        for (scene, source) in self.scenes.iter().zip(sources) {
-            homes.extend(self.homes(scene, source, binding, options, &mut skipped)?);
+        for ((map, grounding), source) in self.scenes.iter().zip(sources) {
+            for group in self.activities.chunks(at_once) {
+                let activities: Vec<_> = group.iter().map(|own| (own.drawn_by.clone(), &own.activity)).collect();
+                match Home::new(map, grounding, &activities, source, binding, options) {
+                    Ok(mut home) => {
+                        home.program = group.iter().map(|own| own.name.as_str()).collect::<Vec<_>>().join(" + ");
+                        let (program, steps) = (&home.program, home.cost().steps());
+                        if self.folders && steps < room_time_s * map.rooms().len() {
+                            skipped.push(format!(
+                                "{program} in {}: its {steps} s leave no time to do every room for {room_time_s} s",
+                                map.name()
+                            ));
+                        } else {
+                            homes.push(home);
+                        }
+                    }
+                    // A scene may lack all objects of an activity without effect on the others.
+                    Err(StudyError::Timeline(error @ TimelineError::Empty { .. })) => skipped.push(error.to_string()),
+                    Err(StudyError::Timeline(error)) if self.folders => skipped.push(error.to_string()),
+                    Err(error) => return Err(error.into()),
+                }
+            }
             progress.step();
         }
         drop(progress);
@@ -296,7 +282,8 @@ impl Setup<'_> {
             ));
         }
         if homes.is_empty() {
-            return Err(Failure::input("no activity fits any of the scenes: give others, or a shorter --room-time"));
+            let text = "no activity fits any of the scenes: give others, or a shorter --room-time";
+            return Err(Failure::input(text));
         }
         Ok(homes)
     }
@@ -310,18 +297,21 @@ impl Setup<'_> {
         Ok(study::run(homes, &self.room_times_s, deciders, &self.options, || progress.step())?)
     }
 
+    /// A decider's figures over all cells.
+    fn pooled(&self, homes: &[Home<'_>], decider: Decider) -> Result<Figures, Failure> {
+        Ok(study::figures(&self.run(homes, &[decider])?.iter().collect::<Vec<_>>(), None))
+    }
+
     /// Notes for reports about the computation; `bindings` are its binding sequences.
     fn notes(&self, sources: &[ScoreSource<LlamaModel>], homes: &[Home<'_>], bindings: &str) -> Vec<String> {
         let rooms = homes.iter().map(|home| home.cost().rooms()).max().unwrap_or(0);
-        let bound = if rooms > study::ROOMS_PROGRAMMED_MAX {
-            format!(" of up to {} rooms", study::ROOMS_PROGRAMMED_MAX)
-        } else {
-            String::new()
+        let bound = match rooms > study::ROOMS_PROGRAMMED_MAX {
+            true => format!(" of up to {} rooms", study::ROOMS_PROGRAMMED_MAX),
+            false => String::new(),
         };
-        let checked = if cfg!(feature = "optimum") {
-            format!(", equal to HiGHS's of the mixed-integer program in every cell{bound}")
-        } else {
-            String::new()
+        let checked = match cfg!(feature = "optimum") {
+            true => format!(", equal to HiGHS's of the mixed-integer program in every cell{bound}"),
+            false => String::new(),
         };
         let closed_s =
             homes.iter().map(|home| home.cost().naive_disturbance()).sum::<f64>() / homes.len().max(1) as f64;
@@ -358,11 +348,6 @@ impl Setup<'_> {
     /// The paper's rows, if the set-up is the paper's except for the parts that [`setups`] varies.
     fn of_the_paper<'p>(&self, rows: &'p [PaperRow]) -> &'p [PaperRow] {
         if self.is_of_the_paper { rows } else { &[] }
-    }
-
-    /// The differences from the paper's set-up, if the set-up is meant to be the paper's.
-    fn differences(&self) -> Option<String> {
-        self.is_of_the_paper.then(|| DIFFERENCES.to_owned())
     }
 
     fn binding(&self) -> String {
@@ -402,12 +387,12 @@ pub(super) fn run_table2(args: &Table2Args) -> CommandResult {
     let Table2Args { study, robot, .. } = args;
     let setup = study.setup(Some(robot), &[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
     let mut sources = setup.sources(&study.model)?;
-    let homes = setup.all_homes(&mut sources, &study.binding, &setup.options)?;
+    let homes = setup.homes(&mut sources, &study.binding, &setup.options)?;
     let cells = setup.run(&homes, &POLICIES)?;
     let table = tables::table2(&cells, setup.paper(&PAPER_TABLE2));
     let mut notes = setup.notes(&sources, &homes, &setup.binding());
     notes.insert(0, tables::headline(&table.overall));
-    notes.extend(setup.differences());
+    notes.extend(setup.is_of_the_paper.then(|| DIFFERENCES.to_owned()));
     let mut pictures = match study.out {
         Some(_) => setup.pictures(&mut sources)?,
         None => Vec::new(),
@@ -455,22 +440,19 @@ pub(super) fn run_table1(args: &Table1Args) -> CommandResult {
     let mut notes = Vec::new();
     for name in ["p0", "p1", "p2", "p3", "p4", "p5"] {
         let Some(binding) = BindingSequence::built_in(name) else { continue };
-        let homes = setup.all_homes(&mut sources, &binding, &setup.options)?;
+        let homes = setup.homes(&mut sources, &binding, &setup.options)?;
         if notes.is_empty() {
             notes = setup.notes(&sources, &homes, "bindings P0 to P5");
-            let cells = setup.run(&homes, &[Decider::Policy(PolicyName::Naive)])?;
-            let all: Vec<_> = cells.iter().collect();
-            rows.push(Figures { policy: "random".into(), ..study::figures(&all, None) });
+            let figures = setup.pooled(&homes, Decider::Policy(PolicyName::Naive))?;
+            rows.push(Figures { policy: "random".into(), ..figures });
         }
-        let cells = setup.run(&homes, &[Decider::Policy(args.policy)])?;
-        let all: Vec<_> = cells.iter().collect();
-        rows.push(Figures { policy: name.into(), ..study::figures(&all, None) });
+        rows.push(Figures { policy: name.into(), ..setup.pooled(&homes, Decider::Policy(args.policy))? });
     }
     notes.push(format!(
         "Rooms by {}, scored with each of the paper's prompts; random is the naive policy.",
         args.policy
     ));
-    notes.extend(setup.differences());
+    notes.extend(setup.is_of_the_paper.then(|| DIFFERENCES.to_owned()));
     // The paper's Table I uses informed avoidance.
     let paper = if args.policy == PolicyName::InformedAvoidance { setup.paper(&PAPER_TABLE1) } else { &[] };
     let report = Report {
@@ -521,14 +503,12 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
             for binding in &prompts {
                 for window in &args.window {
                     let options = Options { history: HistoryLimits::exact(*window), ..setup.options.clone() };
-                    let homes = setup.all_homes(&mut sources, binding, &options)?;
+                    let homes = setup.homes(&mut sources, binding, &options)?;
                     if notes.is_empty() {
                         notes = setup.notes(&sources, &homes, "bindings, windows and other models as in the table");
                     }
                     for decider in deciders {
-                        let cells = setup.run(&homes, &[decider])?;
-                        let all: Vec<_> = cells.iter().collect();
-                        let figures = study::figures(&all, None);
+                        let figures = setup.pooled(&homes, decider)?;
                         table.rows.push(vec![
                             name.clone(),
                             binding.name().to_owned(),
@@ -559,7 +539,7 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
 pub(super) fn run_pareto(args: &ParetoArgs) -> CommandResult {
     let setup = args.study.setup(Some(&args.robot), &[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
     let mut sources = setup.sources(&args.study.model)?;
-    let homes = setup.all_homes(&mut sources, &args.study.binding, &setup.options)?;
+    let homes = setup.homes(&mut sources, &args.study.binding, &setup.options)?;
     let mut deciders = vec![
         Decider::Policy(PolicyName::Naive),
         Decider::Policy(PolicyName::InformedAvoidance),
@@ -603,7 +583,7 @@ pub(super) fn run_pareto(args: &ParetoArgs) -> CommandResult {
 pub(super) fn run_horizon(args: &StudyArgs) -> CommandResult {
     let setup = args.setup(None, &[], &APARTMENTS, &PROGRAMS)?;
     let mut sources = setup.sources(&args.model)?;
-    let homes = setup.all_homes(&mut sources, &args.binding, &setup.options)?;
+    let homes = setup.homes(&mut sources, &args.binding, &setup.options)?;
     let rows = study::horizons(&homes, setup.options.forecast, &[1, 5, 10, 20, 30, 45, 60, 90, 120, 180, 240, 300]);
     let (table, figures) = tables::horizon_report(&rows);
     let report = Report {
@@ -637,7 +617,7 @@ impl Setup<'_> {
                     for model in models {
                         let mut sources =
                             self.sources(&ModelArgs { model: model.clone(), ..self.args.model.clone() })?;
-                        let homes = self.all_homes(&mut sources, &self.args.binding, &options)?;
+                        let homes = self.homes(&mut sources, &self.args.binding, &options)?;
                         cells.push(self.run(&homes, &deciders)?);
                     }
                     let setup = setups::Setup { items: items.into(), longest_act_s, window };

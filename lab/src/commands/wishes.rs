@@ -2,6 +2,8 @@
 
 use std::fmt::Write as _;
 
+use strum::VariantArray as _;
+
 use crate::experiment::wishes::{Sums, Way, play};
 use roomcast_cli::{CommandResult, Failure, print, print_json, ranges};
 
@@ -35,13 +37,13 @@ const COLUMNS: [Column; 6] = [
 pub(super) fn run(args: &WishesArgs) -> CommandResult {
     let days = usize::try_from(args.days).unwrap_or(1);
     let mut rows = Vec::new();
-    for way in Way::ALL {
-        let sums = (0..args.seeds).map(|more| play(way, days, args.seed.wrapping_add(more)));
+    for way in Way::VARIANTS {
+        let sums = (0..args.seeds).map(|more| play(*way, days, args.seed.wrapping_add(more)));
         let sums = sums.collect::<Result<Vec<_>, _>>().map_err(Failure::failed)?;
-        rows.push((way, sums));
+        rows.push((<&str>::from(way), sums));
     }
     if args.json {
-        let each = rows.iter().map(|(way, sums)| (way.name(), sums)).collect::<std::collections::BTreeMap<_, _>>();
+        let each = rows.iter().map(|(way, sums)| (way, sums)).collect::<std::collections::BTreeMap<_, _>>();
         return print_json(&each);
     }
     let mut text = format!(
@@ -54,7 +56,7 @@ pub(super) fn run(args: &WishesArgs) -> CommandResult {
         let per_day = (args.seeds as usize * days) as f64;
         let mean = |of: fn(&Sums) -> usize| sums.iter().map(of).sum::<usize>() as f64 / per_day;
         let values = COLUMNS.map(|(_, of)| format!("{:.2}", mean(of))).join(" | ");
-        let _ = writeln!(text, "| {} | {values} |", way.name());
+        let _ = writeln!(text, "| {way} | {values} |");
     }
     print(&text)
 }

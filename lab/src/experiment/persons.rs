@@ -42,16 +42,20 @@ pub struct Setup {
     pub recorded: Option<Arc<Recorded>>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, strum::IntoStaticStr)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
     /// The joint filter.
+    #[strum(serialize = "tracker")]
     Tracker,
     /// The joint filter that keeps every state.
+    #[strum(serialize = "exact")]
     Exact,
-    /// One filter per person; each anonymous report goes to the person it fits best.
+    /// Each anonymous report goes to the person it fits best.
+    #[strum(serialize = "a filter per person")]
     Assigned,
-    /// The last sensor of each person; each anonymous report moves the nearest person.
+    /// Each anonymous report moves the nearest person.
+    #[strum(serialize = "last sensor")]
     LastSensor,
 }
 

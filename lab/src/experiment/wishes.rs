@@ -131,32 +131,25 @@ impl Known {
     }
 }
 
-/// A way to control the robot.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// A way to control the robot, by its name in tables.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::IntoStaticStr, strum::VariantArray)]
 pub enum Way {
+    #[strum(serialize = "fixed schedule, at 10:00")]
     Schedule,
     /// Goes when the house is empty, and returns when it is not.
+    #[strum(serialize = "automation: the house is empty")]
     EmptyHouse,
+    #[strum(serialize = "planner without rules")]
     Before,
-    /// The planner with quiet hours, sleep, a wait for residents, and each room once a day.
+    /// With quiet hours, sleep, a wait for residents, and each room once a day.
+    #[strum(serialize = "planner with rules")]
     Rules,
     /// The same, and only in an empty house that stays empty.
+    #[strum(serialize = "planner with rules, only in an empty house")]
     RulesEmptyHouse,
 }
 
 impl Way {
-    pub const ALL: [Self; 5] = [Self::Schedule, Self::EmptyHouse, Self::Before, Self::Rules, Self::RulesEmptyHouse];
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Schedule => "fixed schedule, at 10:00",
-            Self::EmptyHouse => "automation: the house is empty",
-            Self::Before => "planner without rules",
-            Self::Rules => "planner with rules",
-            Self::RulesEmptyHouse => "planner with rules, only in an empty house",
-        }
-    }
-
     fn config(self) -> Result<PlannerConfig, Fault> {
         let plain = PlannerConfig {
             room_time_s: (STAY * 60) as f64,

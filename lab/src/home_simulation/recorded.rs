@@ -59,9 +59,14 @@ impl Recorded {
             let mut life = Life::default();
             life.stay(begins.min(DAY_S), Some(bedroom), Act::Sleep);
             append(&mut life, &own);
-            rest(&mut life, &self.plan, bedroom);
             lives.push(life);
         }
+        self.add(bedroom, lives);
+    }
+
+    /// Adds a resident with these days, each with its rest.
+    fn add(&mut self, bedroom: u8, mut lives: Vec<Life>) {
+        lives.iter_mut().for_each(|life| rest(life, &self.plan, bedroom));
         self.plan.bedrooms.push(bedroom);
         self.residents.push(lives);
     }
@@ -99,11 +104,9 @@ impl Recorded {
                 let here = life.room.last().copied().flatten();
                 life.stay(lognormal(&mut random, 900.0, 0.8) as usize, here, Act::Sit);
             }
-            rest(&mut life, &self.plan, bedroom);
             lives.push(life);
         }
-        self.plan.bedrooms.push(bedroom);
-        self.residents.push(lives);
+        self.add(bedroom, lives);
     }
 }
 

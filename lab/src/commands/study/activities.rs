@@ -45,10 +45,9 @@ pub(super) fn tell_apart(activities: &mut [Named]) -> CommandResult {
 
 impl StudyArgs {
     pub(super) fn load(&self, path: &Path) -> Result<Vec<Named>, Failure> {
-        let input = |error: roomcast_core::narration::TextError| Failure::input(error);
         if let Some(shipped) = setup::shipped_program(path) {
             let name = path.display().to_string();
-            let activity = Activity::Program(shipped.map_err(input)?);
+            let activity = Activity::Program(shipped?);
             return Ok(vec![Named { path: path.to_owned(), name: name.clone(), drawn_by: name, activity }]);
         }
         let mut files = prediction::load_programs(path)?;
@@ -69,7 +68,7 @@ impl StudyArgs {
             // Programs were read already; days are read again with their times.
             let day = std::fs::read_to_string(&file.path).ok().filter(|text| Day::recognise(text));
             let activity = match day {
-                Some(text) => Activity::Day(Day::parse(&text).map_err(input)?),
+                Some(text) => Activity::Day(Day::parse(&text)?),
                 None => Activity::Program(file.program),
             };
             activities.push(Named { path: file.path, name: name.clone(), drawn_by: name, activity });
