@@ -27,7 +27,6 @@ impl Args {
         Self { mqtt, mqtt_credentials, mqtt_ca }
     }
 
-    /// The broker, for a client of this name.
     pub fn broker(&self, config: &MqttConfig, client: String) -> Result<Broker, Failure> {
         let Some(address) = self.mqtt.clone().or_else(|| config.broker.clone()) else {
             return Err(Failure::config(

@@ -71,7 +71,6 @@ fn check_names(config: &Config, file: &Path) -> CommandResult {
     Err(Failure::new(missing.unwrap_or(failures[0].code), text))
 }
 
-/// The fault of the broker's address or files.
 #[cfg(feature = "mqtt")]
 fn check_broker(config: &MqttConfig) -> Option<Failure> {
     let broker = Broker {

@@ -81,7 +81,6 @@ pub struct Args {
     days: Option<u16>,
 }
 
-/// Plays the activity; prints the events and a summary.
 pub fn run(args: &Args) -> CommandResult {
     if let Some(days) = args.days {
         let mut config = Config::default();
@@ -234,7 +233,6 @@ fn program_name(path: &Path) -> String {
     }
 }
 
-/// Collects messages and prints them.
 struct Show<'a> {
     narration: Subscriber<NarrationV1>,
     scores: Subscriber<RoomScoresV1>,

@@ -4,7 +4,6 @@ use roomcast_core::narration::action_table;
 use roomcast_ipc::raw::DecisionV1;
 use roomcast_simulation::world::Stay;
 
-/// The name of the simulated person.
 pub(super) const NAME: &str = "Ada";
 
 /// A narrated sentence as people say it: "They drink the mug." is "Ada drinks from the mug.". The model was trained on the narrated words.
@@ -21,7 +20,6 @@ pub(super) fn told(sentence: &str) -> String {
     format!("{NAME} {third}{rest}")
 }
 
-/// A decision's reason as sentences.
 pub(super) fn reason(decision: &DecisionV1) -> String {
     sentences(decision.reason())
 }

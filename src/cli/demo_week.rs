@@ -52,7 +52,6 @@ const WEEKEND: [Habit; 3] = [
 /// On working days the person leaves this long after breakfast's last action, and returns at the evening's first.
 const LEAVES_MIN: f64 = 12.0;
 
-/// The simulated days.
 struct Life {
     trace: Trace,
     /// The absences.
@@ -60,7 +59,6 @@ struct Life {
     rooms: usize,
 }
 
-/// A forecast and its outcome.
 #[derive(Debug, Clone)]
 pub(super) struct Case {
     day: usize,
@@ -159,7 +157,6 @@ impl Life {
         self.trace.place_at(at_s).map(|(_, place)| place)
     }
 
-    /// All events, in the order of time.
     fn said(&self) -> Vec<(f64, Event)> {
         let sentences = self.trace.steps.iter().map(|step| (step.at_s, Event::Did(step.sentence.clone())));
         let leaves = self.out.iter().map(|(from_s, _)| (*from_s, Event::Away));

@@ -341,7 +341,6 @@ fn speed(config: &Config, map: &SemanticMap, model: LlamaModel) -> Finding {
     Finding::good("speed", found)
 }
 
-/// Runs every check and prints the findings.
 pub fn run(args: &Args) -> CommandResult {
     let (mut config, domain) = match args.service.load() {
         Ok(loaded) => loaded,
@@ -386,7 +385,6 @@ pub fn run(args: &Args) -> CommandResult {
     }
 }
 
-/// The longest line of the table.
 const LINE: usize = 120;
 
 fn report(args: &Args, findings: &[Finding]) -> CommandResult {
@@ -399,7 +397,6 @@ fn report(args: &Args, findings: &[Finding]) -> CommandResult {
 
 /// A table of at most `columns` columns, except for longer words. The table fits itself to a terminal, but a pipe has no width.
 fn table(findings: &[Finding], columns: usize) -> Table {
-    /// The width of the columns before the text.
     const BEFORE: usize = 28;
     let mut table = super::table(&["check", "", "found, and what to do"]);
     for finding in findings {

@@ -102,7 +102,6 @@ fn png(_svg: &str, _scale: f32) -> Result<Vec<u8>, Failure> {
     Err(Failure::usage(remedy))
 }
 
-/// Writes a drawing in the format of its file's ending.
 pub(super) fn write_drawing(path: &Path, svg: String, scale: f32) -> CommandResult {
     let bytes = match path.extension().and_then(|ending| ending.to_str()) {
         Some("svg") => svg.into_bytes(),

@@ -149,7 +149,6 @@ pub fn run(args: &Args) -> CommandResult {
     super::print(&text)
 }
 
-/// A person's name as a heading, with capitals.
 fn heading(name: &str) -> String {
     let capital = |word: &str| word.chars().take(1).flat_map(char::to_uppercase).chain(word.chars().skip(1)).collect();
     name.split(' ').map(capital).collect::<Vec<String>>().join(" ")
@@ -173,7 +172,6 @@ fn somebody(persons: &[(PersonId, Explanation)]) -> Value {
     partitions.into_iter().map(row).collect()
 }
 
-/// Prints the belief about a person's place, with reasons.
 fn whereabouts(args: &Args, who: &str) -> CommandResult {
     let (_, domain) = args.service.load()?;
     let asker = service::Asker::new(&domain, "roomcast-explain", question::PERSON, PATIENCE.as_secs())?;
@@ -187,7 +185,6 @@ fn whereabouts(args: &Args, who: &str) -> CommandResult {
     super::print(&told(&found))
 }
 
-/// A belief about a person in words.
 fn told(found: &Whereabouts) -> String {
     let name = called(&found.person);
     let mut text = String::new();

@@ -96,7 +96,6 @@ struct LearnArgs {
     common: Asking,
 }
 
-/// The inputs of `learn`, one of them.
 #[cfg(feature = "simulation")]
 const INPUTS: [&str; 4] = ["lines", "sensors", "recording", "days"];
 #[cfg(not(feature = "simulation"))]
@@ -292,7 +291,6 @@ fn first_day_s(date: Option<&str>, days: usize, now_s: f64) -> Result<f64, Failu
         .ok_or_else(|| Failure::usage(format!("--first-day {date:?} is no date: give YYYY-MM-DD")))
 }
 
-/// A narrated action of a day.
 #[cfg(feature = "simulation")]
 struct TimedItem {
     /// From 1, as is the action's number in the day.

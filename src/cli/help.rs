@@ -106,7 +106,6 @@ pub fn arranged(command: Command) -> Command {
     command.help_template(template)
 }
 
-/// The commands of this build, for the first help page.
 fn groups(command: &Command) -> String {
     let mut text = String::new();
     for (heading, names) in GROUPS {

@@ -13,7 +13,6 @@ pub(super) fn is_url(source: &Path) -> bool {
     source.to_str().is_some_and(|source| schemes.iter().any(|scheme| source.starts_with(scheme)))
 }
 
-/// Options for reading a Home Assistant.
 #[derive(Clone, Copy, Default)]
 pub(super) struct HomeOptions<'a> {
     pub(super) token_file: Option<&'a Path>,
@@ -92,7 +91,6 @@ fn from_folder(folder: &Path, name: &str, options: Registries<'_>) -> Result<Hom
     import::home_assistant(&texts, name).map_err(|error| in_file("Home Assistant", storage, &error))
 }
 
-/// Checks rules for `narrate --mqtt`.
 pub(super) fn check_rules(path: &Path, rules: &str) -> Result<(), Failure> {
     #[cfg(feature = "mqtt")]
     roomcast_services::mqtt::Rules::parse(rules)

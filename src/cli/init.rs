@@ -36,7 +36,6 @@ const MAP: &str = "/MapData/map-data";
 const SCENE_FILE: &str = "home.json";
 const RULES_FILE: &str = "home.rules.toml";
 const STATE_FOLDER: &str = "state";
-/// The folder for all of them.
 const FOLDER: &str = "home";
 
 #[derive(Debug, clap::Args)]
@@ -151,7 +150,6 @@ fn keep_old(path: &Path, text: &str) -> Result<Option<PathBuf>, Failure> {
     Ok(Some(old))
 }
 
-/// Checks whether these files may be written.
 fn permit(files: &[PathBuf], replace: bool, asker: &mut Asker) -> CommandResult {
     let there: Vec<String> = files.iter().filter(|path| path.exists()).map(|path| path.display().to_string()).collect();
     if let Some(path) = files.iter().find(|path| path.exists() && !path.is_file()) {
@@ -171,7 +169,6 @@ fn permit(files: &[PathBuf], replace: bool, asker: &mut Asker) -> CommandResult 
     Err(Failure::failed(text))
 }
 
-/// The contents of the files, and notes for the report.
 struct Made {
     map: SemanticMap,
     rules: Option<String>,
@@ -274,7 +271,6 @@ fn unpacked(payload: &[u8]) -> Result<String, String> {
 }
 
 impl Made {
-    /// The written files, the assumptions, and the next steps.
     fn report(&self, [scene, rules, config]: &[PathBuf; 3], found: &Found) -> String {
         let mut text = String::new();
         for note in &found.notes {

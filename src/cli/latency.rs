@@ -59,7 +59,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Arguments of `roomcast measured-end`, which a measurement starts.
 #[derive(Debug, clap::Args)]
 pub struct EndArgs {
     /// Answer over this yardstick's path; by default keep every core busy.

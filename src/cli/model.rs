@@ -129,7 +129,6 @@ fn describe(path: &Path, header: &Header, sha256: &str) -> serde_json::Value {
     })
 }
 
-/// The correction of scores that the file recommends.
 fn recommended(header: &Header) -> Result<Correction, String> {
     Correction::recommended(|key| header.written(key))
 }
@@ -331,7 +330,6 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
     Ok(())
 }
 
-/// The scores of a case, by each method.
 struct Compared {
     /// Equation 1 comes first, for the known scores.
     scores: Vec<Vec<f64>>,

@@ -143,7 +143,6 @@ fn understood(outcome: &Outcome, domain: &Domain) -> Vec<UnderstoodLine> {
     answer.map(|answer| answer.understood).unwrap_or_default()
 }
 
-/// Prints how the daemon would understand each event.
 fn dry_run(args: &Args, config: &Config, source: Input, stop: &Stop) -> CommandResult {
     let mut dry_run = DryRun::new(config, clock::unix_ns()).map_err(Failure::config)?;
     let (mut refused, mut fault) = (0_usize, None);
@@ -171,7 +170,6 @@ fn dry_run(args: &Args, config: &Config, source: Input, stop: &Stop) -> CommandR
     }
 }
 
-/// The kind of work that a stop has ended.
 #[derive(Debug, Clone, Copy)]
 enum Stopped {
     /// Work that goes on until it is stopped.

@@ -102,7 +102,6 @@ pub fn run(args: &Args) -> CommandResult {
     print(&format!("{}{after_restart}", listed(&answer)))
 }
 
-/// Sends a presence and prints how the daemon understood it.
 fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     let person: Who = who.parse().map_err(|error: TextError| Failure::usage(error.to_string()))?;
     let is_away = is_away(room);

@@ -51,7 +51,6 @@ pub struct Args {
 }
 
 impl Args {
-    /// Overrides the configuration by the command line.
     fn apply(&self, planned: &mut PlannerConfig) -> Result<(), String> {
         service::replace(&mut planned.robot, &self.robot);
         planned.policy = self.policy.unwrap_or(planned.policy);

@@ -161,7 +161,6 @@ impl Moments {
         self.asked.is_some()
     }
 
-    /// The answer, if it comes in time.
     fn hear(&mut self, patience: Duration) -> Option<Moment> {
         let answer = self.told.recv_timeout(patience).ok()?;
         let asked = self.asked.take();
@@ -204,7 +203,6 @@ struct Known {
 }
 
 impl Known {
-    /// Whether the recording already has the message.
     fn repeats(&mut self, message: &Recorded, now_ns: BootNs) -> bool {
         match message {
             // Scores with new flags or confirmations are new: the journal has more now, or the scorer has failed.
@@ -317,7 +315,6 @@ pub fn run(args: &Args) -> CommandResult {
     Ok(())
 }
 
-/// What a recording has.
 struct Ports {
     narration: Subscriber<NarrationV1>,
     scores: Subscriber<RoomScoresV1>,

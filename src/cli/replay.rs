@@ -187,7 +187,6 @@ const MISLED: [(&str, &str); 6] = [
     ("roomcast-ros2", "a bridge to ROS 2"),
 ];
 
-/// Refuses to replay everything if a participant would act on it.
 fn refuse_running_system(participants: &[String], domain: &Domain) -> CommandResult {
     let misled =
         MISLED.into_iter().find_map(|(name, who)| Some((who, participants.iter().find(|own| own.starts_with(name))?)));

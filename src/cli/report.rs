@@ -28,7 +28,6 @@ const NOTICED_WITHIN: Duration = Duration::from_secs(2);
 const TICK: Duration = Duration::from_millis(50);
 /// A running daemon repeats its scores within this time.
 const HEARTBEAT: Duration = Duration::from_millis(1500);
-/// Most queued lines of standard input.
 const LINES: usize = 8;
 
 #[derive(Debug, clap::Args)]
@@ -253,7 +252,6 @@ fn send_lines(
     Ok(())
 }
 
-/// Whether a report is about work in a room.
 fn is_work(kind: Kind) -> bool {
     match kind {
         Kind::Started | Kind::Finished | Kind::Failed | Kind::Blocked | Kind::Cancelled => true,
@@ -376,7 +374,6 @@ fn read_lines() -> io::Result<Receiver<Result<String, String>>> {
     Ok(lines)
 }
 
-/// The receiver of the reports.
 enum Hearer {
     Planner,
     /// A planner of another robot, by its participant's name.

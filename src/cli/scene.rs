@@ -173,7 +173,6 @@ const DOOR_OFF_M: f64 = 0.5;
 /// Largest distance of an item's point from its box, in metres: numbers are rounded.
 const ITEM_OFF_M: f64 = 0.05;
 
-/// Remarks on a well-formed map.
 fn warnings(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
     let mut warnings = Vec::new();
     for (ItemId(item), Reason::Outside { nearest, distance_m }) in grounding.unassigned() {
@@ -222,7 +221,6 @@ fn warnings(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
 const LARGEST_M3: f64 = 1e6;
 /// Largest share of a room's volume inside another one without a warning: walls have a thickness.
 const OVERLAP_SHARE: f64 = 0.05;
-/// Most items that one warning names.
 const NAMED_MAX: usize = 5;
 
 /// Rooms that overlap, except a nook that is listed after the room around it.

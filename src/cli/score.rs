@@ -220,7 +220,6 @@ pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap
     })
 }
 
-/// A flag of the scores, and its meaning.
 pub fn warning<M: LanguageModel>(pipeline: &Pipeline<M>) -> Option<(&'static str, String)> {
     match (&pipeline.inside().model().weakness, pipeline.scores().trust) {
         (Some(reason), _) => {

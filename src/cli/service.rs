@@ -18,7 +18,6 @@ use roomcast_services::stop::Stop;
 const ROOT_VARIABLE: &str = "ROOMCAST_ROOT";
 const DOMAIN_VARIABLE: &str = "ROOMCAST_DOMAIN";
 
-/// The keys of a configuration that the environment overrides.
 pub fn overridden(config: &Config) -> Vec<String> {
     overridden_by(config, |name| std::env::var_os(name))
 }
@@ -63,14 +62,12 @@ impl Args {
         self.config.as_deref()
     }
 
-    /// The start of a service.
     pub fn begin(&self) -> Result<(Stop, logging::Log, Config, Domain), Failure> {
         let (stop, log) = (stop()?, logging::init());
         let (config, domain) = self.load()?;
         Ok((stop, log, config, domain))
     }
 
-    /// Reads the configuration and names the domain.
     pub fn load(&self) -> Result<(Config, Domain), Failure> {
         let mut config = self.config.as_deref().map(Config::load).transpose()?.unwrap_or_default();
         config.ipc.root = self.root.clone().or(config.ipc.root);
@@ -87,7 +84,6 @@ pub fn replace<T: Clone>(configured: &mut T, given: &Option<T>) {
     }
 }
 
-/// Arguments of a question to the daemon.
 #[derive(Debug, clap::Args)]
 pub struct Asking {
     #[command(flatten)]
@@ -126,7 +122,6 @@ impl Asker {
     }
 }
 
-/// A random name for a question.
 pub fn question_name() -> String {
     format!("{:016x}", sequence::random_epoch())
 }

@@ -47,7 +47,6 @@ impl Stage {
         Self { children: Vec::new(), domain, logs: logs.to_owned(), config: None }
     }
 
-    /// Sets the configuration of the processes that are started later.
     pub(super) fn configure(&mut self, text: &str) -> CommandResult {
         let path = self.logs.join("config.toml");
         std::fs::write(&path, text)

@@ -38,7 +38,6 @@ pub struct Args {
 
 /// Period of questions about the daemon's status, in nanoseconds.
 const STATUS_NS: u64 = 1_000_000_000;
-/// Timeout of the status.
 const STATUS_TIMEOUT: Duration = Duration::from_millis(50);
 /// Silence until a warning. A running daemon repeats its scores much more often.
 pub(super) const SILENCE: Duration = Duration::from_secs(10);
@@ -57,7 +56,6 @@ pub fn run(args: &Args) -> CommandResult {
     shown
 }
 
-/// The warning about a silent daemon.
 pub(super) fn silence(domain: &Domain) -> String {
     let place = service::shown(domain);
     format!("no daemon is heard in {place} for {} s: start `roomcast daemon`", SILENCE.as_secs())
@@ -71,7 +69,6 @@ fn left(count: u64, limit: Option<u64>) -> CommandResult {
     }
 }
 
-/// What the view shows.
 struct Drawn {
     scores: Subscriber<RoomScoresV1>,
     narration: Subscriber<NarrationV1>,
@@ -247,7 +244,6 @@ fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>, robot: String) -> Com
     left(count, limit)
 }
 
-/// Prints a snapshot, with the other messages since the last line.
 fn print_line(snapshot: &RoomScoresV1, others: &mut Others) -> CommandResult {
     let rooms: Vec<_> = (snapshot.rooms().iter())
         .map(|room| json!({"id": room.id(), "probability": room.probability, "log_score_nats": room.log_score_nats}))
@@ -427,7 +423,6 @@ fn given(text: &str) -> Option<&str> {
     (!text.is_empty()).then_some(text)
 }
 
-/// The kind of a narration, as in JSON lines.
 const fn kind_word(kind: u32) -> Option<&'static str> {
     match kind {
         narration_kind::SENTENCE => Some("sentence"),

@@ -54,7 +54,6 @@ fn words(args: &CardArgs, command: &str) -> Vec<String> {
     command.split_whitespace().map(path).collect()
 }
 
-/// Each table of the card, in the card's order.
 fn tables(args: &CardArgs) -> Vec<Table> {
     let mut tables: Vec<Table> = Vec::new();
     let mut add = |title: String, command: String| tables.push((title, words(args, &command)));

@@ -28,7 +28,6 @@ pub(super) struct FamiliarityArgs {
     model: ModelArgs,
 }
 
-/// Bins of tokens per byte.
 const EDGES: [f64; 9] = [0.0, 0.2, 0.26, 0.32, 0.36, 0.4, 0.45, 0.5, f64::INFINITY];
 
 fn row(name: &str, cases: &[Case]) -> String {

@@ -29,7 +29,6 @@ pub(super) struct GuessesArgs {
     json: bool,
 }
 
-/// The numbers of guesses in the table.
 const K: [usize; 4] = [8, 16, 32, 64];
 
 pub(super) fn run(args: &GuessesArgs) -> CommandResult {

@@ -81,7 +81,6 @@ pub struct Row {
     pub model_less_this_macro: Option<Summary>,
 }
 
-/// The table, and the counts of its omissions.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Report {
     /// Cases of the target `object`, over all scenes.
@@ -517,7 +516,6 @@ impl Report {
     }
 }
 
-/// The sentences of actions.
 pub fn sentences(steps: &[Action]) -> Result<Vec<Sentence>, Failure> {
     steps.iter().map(|step| Ok(Sentence::new(&step.sentence())?)).collect()
 }

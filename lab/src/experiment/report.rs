@@ -106,7 +106,6 @@ impl Report {
         format!("{}\n{}\n", tables.collect::<String>(), self.notes.join("\n"))
     }
 
-    /// Writes every file into `folder`, which is created if it is missing.
     pub fn write(&self, folder: &Path) -> CommandResult {
         let put = |name: &str, bytes: &[u8]| {
             let path = folder.join(name);

@@ -18,7 +18,6 @@ use roomcast_core::policy::PolicyName;
 use roomcast_simulation::binding::ItemChoice;
 use roomcast_simulation::study::{Cell, Decider};
 
-/// The choices that the paper leaves open.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Setup {
     pub items: &'static str,
@@ -43,7 +42,6 @@ pub struct Share {
     pub ci95: [f64; 2],
 }
 
-/// One policy under one set-up.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SetupRow {
     /// The set-up.

@@ -61,7 +61,6 @@ pub const DIFFERENCES: &str = "What differs from the paper: its apartments, prog
     timelines are stretched. The paper asks a general language model; these figures are of the model named above. As in the paper, \
     the robot begins in a random room, moves in no time, and may return to rooms that are done; t_c is the mean over runs that covered.";
 
-/// Figures by cell, and pooled by decider.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Table2 {
     /// One for each scene, program, T_r and policy.
@@ -76,7 +75,6 @@ fn of(cells: &[Cell], decider: Decider) -> Vec<&Cell> {
     cells.iter().filter(|cell| cell.decider == decider).collect()
 }
 
-/// In the order of their first cells.
 fn deciders(cells: &[Cell]) -> Vec<Decider> {
     distinct(cells.iter().map(|cell| cell.decider))
 }
@@ -203,7 +201,6 @@ pub struct Domination {
     pub verdict: &'static str,
 }
 
-/// Compares the front with the naive and informed points in every cell.
 pub fn domination(cells: &[Cell]) -> Vec<Domination> {
     let mut found = Vec::new();
     for name in [PolicyName::Naive, PolicyName::InformedAvoidance] {

@@ -28,7 +28,6 @@ const STUDY: usize = 5;
 const PERSONS: [&str; 2] = ["Mira", "Ben"];
 const DAY: usize = 24 * 60;
 const MINUTE_NS: u64 = 60_000_000_000;
-/// Minutes of work in a room.
 const STAY: usize = 10;
 const HORIZONS_MIN: [usize; 8] = [0, 5, 10, 20, 30, 60, 120, 240];
 /// From lying down to sleep, in minutes.
@@ -180,7 +179,6 @@ impl Way {
     }
 }
 
-/// The results of days, in minutes and counts.
 #[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
 pub struct Sums {
     /// Minutes of work in a room with a person.

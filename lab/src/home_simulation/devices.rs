@@ -29,7 +29,6 @@ pub struct Extras {
     pub robot: bool,
 }
 
-/// All reports of some days, by time.
 pub fn reports(
     plan: &Plan,
     truth: &Truth,

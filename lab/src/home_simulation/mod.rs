@@ -23,7 +23,6 @@ use rand::RngExt;
 
 pub const DAY_S: usize = 86_400;
 
-/// A person's activity in one second.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Act {
     Walk,
@@ -60,7 +59,6 @@ impl Life {
     }
 }
 
-/// Days of a home: residents, then visitors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
     pub residents: Vec<Life>,

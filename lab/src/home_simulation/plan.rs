@@ -51,7 +51,6 @@ impl Plan {
         Self::new(&names, &doors, bedrooms, 1)
     }
 
-    /// A home from names and doors.
     pub fn new(names: &[&str], doors: &[(usize, usize)], bedrooms: Vec<u8>, hall: u8) -> Result<Self, TrackerError> {
         let uses: Vec<RoomUse> = names.iter().map(|name| RoomUse::of(name)).collect();
         let exits: Vec<f64> = (0..names.len()).map(|room| if room == usize::from(hall) { 1.0 } else { 0.0 }).collect();

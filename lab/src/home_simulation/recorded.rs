@@ -125,7 +125,6 @@ fn append(life: &mut Life, own: &Timeline) {
     }
 }
 
-/// Walks to a room, a few seconds per room.
 fn walk(life: &mut Life, plan: &Plan, to: u8) {
     let mut at = life.room.last().copied().flatten().unwrap_or(plan.hall);
     while at != to {

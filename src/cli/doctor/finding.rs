@@ -56,7 +56,6 @@ impl Place<'_> {
     }
 }
 
-/// A few names, and the number of others.
 pub(super) fn some_of<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
     const SHOWN: usize = 6;
     let names: Vec<&str> = names.into_iter().collect();

@@ -18,12 +18,10 @@ use super::finding::{Finding, Place, rules_of_no_room, segment_of_no_room, segme
 use super::home_mqtt;
 use crate::cli::{count, service};
 
-/// Timeout of the daemon's status.
 const STATUS_MAX: Duration = Duration::from_secs(2);
 /// Seconds that the clock may be behind a file's time.
 const CLOCK_S: u64 = 3600;
 
-/// All checks of a home that a configuration file describes.
 pub(super) fn checks(
     config: &Config,
     map: Option<(&SemanticMap, &Grounding)>,
@@ -81,7 +79,6 @@ fn clock(config: &Config, place: &Place<'_>) -> Finding {
     }
 }
 
-/// Checks whether habits can be stored.
 fn state(config: &Config, place: &Place<'_>) -> Option<Finding> {
     let check = "state";
     let folder = config.daemon.state_directory()?;
@@ -188,7 +185,6 @@ fn persons(config: &Config, place: &Place<'_>) -> Finding {
     }
 }
 
-/// Checks the running services.
 fn services(config: &Config, map: Option<&SemanticMap>, domain: &Domain, place: &Place<'_>) -> Vec<Finding> {
     let check = "services";
     let file = place.shown();
@@ -252,7 +248,6 @@ fn fast_clock(ahead: u64, ahead_ns: u64) -> Option<Finding> {
     (ahead > 0).then(|| Finding::limited("daemon", found, remedy))
 }
 
-/// Checks the running daemon by its status.
 fn daemon(map: Option<&SemanticMap>, node: &roomcast_ipc::Node, file: &str) -> Finding {
     let check = "daemon";
     let status = match node.status_client().and_then(|client| client.ask(STATUS_MAX)) {

@@ -114,7 +114,6 @@ pub(super) fn rules(path: &Path, home: Option<(&SemanticMap, &Grounding)>) -> (V
     (findings, Some(rules))
 }
 
-/// Rules with a room that the map does not have.
 fn rooms_of_rules(path: &Path, rules: &Rules, map: &SemanticMap) -> Option<Finding> {
     let named = rules.about().flat_map(|rule| {
         let rooms = [rule.room, rule.beyond].into_iter().flatten();
@@ -168,7 +167,6 @@ fn is_of_statestream(topic: &str) -> bool {
     topic.starts_with("homeassistant/") || topic.ends_with("/state") && topic.matches('/').count() >= 3
 }
 
-/// The first level of a topic.
 fn base(topic: &str) -> String {
     topic.split('/').next().unwrap_or_default().to_owned()
 }
@@ -223,7 +221,6 @@ fn unreached(error: &LookError, place: &Place<'_>) -> Finding {
     Finding::wrong("broker", chain(error), format!("{} ({})", error.remedy(), place.shown()))
 }
 
-/// Compares the topics of the rules with those of the broker.
 fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Place<'_>) -> Vec<Finding> {
     let shown = path.display();
     let own = |topic: &str| {
@@ -382,7 +379,6 @@ fn payloads(rules: &Rules, topics: &[(&str, &[u8])], shown: &str) -> Option<Find
     Some(Finding::limited("payloads", found, remedy))
 }
 
-/// Rules that no message ever matched.
 fn never(rules: &Rules, counted: &Counted, fitted: &[Option<u64>], shown: &str) -> Finding {
     let check = "rules that fit";
     let never: Vec<_> =
@@ -432,7 +428,6 @@ fn is_of_people(topic: &str) -> bool {
     }
 }
 
-/// The robot's messages.
 #[derive(Default)]
 struct Heard {
     online: Option<bool>,
@@ -496,7 +491,6 @@ fn robot(config: &Config, map: Option<&SemanticMap>, seen: &Seen, place: &Place<
     findings
 }
 
-/// The robot's topic is silent.
 fn no_robot(config: &Config, seen: &Seen, place: &Place<'_>) -> Finding {
     let topic = &config.robot.topic;
     let others: Vec<&str> = (seen.topics.keys())

@@ -16,7 +16,6 @@ pub(in crate::cli) struct Remarks<'a> {
 }
 
 impl Remarks<'_> {
-    /// All remarks on a line of JSON.
     pub(in crate::cli) fn on(&mut self, line: &str) -> Option<String> {
         let line: Value = serde_json::from_str(line).ok()?;
         let nobody = no_person(&line, &self.persons);
@@ -43,7 +42,6 @@ fn not_quite_a_form(line: &Value, persons: &Persons, map: Option<&SemanticMap>) 
     Some(format!("this sets no presence; the nearest form is {:?} (docs/persons.md)", form.sentence))
 }
 
-/// A person outside the list of residents.
 fn no_resident(line: &Value, persons: &Persons, residents: &[String]) -> Option<String> {
     let name = line.get("person")?.as_str()?;
     let is_guest = persons.is_visitor(persons.number_of(name)) && persons.find(name).is_none();
@@ -51,7 +49,6 @@ fn no_resident(line: &Value, persons: &Persons, residents: &[String]) -> Option<
     is_guest.then(|| format!("nobody who lives here is called {name:?} (persons.residents: {who}): they are a visitor"))
 }
 
-/// A room or a thing that the map does not have.
 fn lacking(line: &Value, map: &SemanticMap, mentions: &mut PlaceMatcher) -> Option<String> {
     let of = |key: &str| line.get(key).and_then(Value::as_str);
     let rooms = ["room", "beyond"].into_iter().filter_map(of);

@@ -14,7 +14,6 @@ const SAME_FLOOR_M: f64 = 0.1;
 /// The kind of room that leads to other storeys.
 const WAY_OUT: &str = "hallway";
 
-/// The rooms of areas on a home's map.
 #[derive(Debug, Default)]
 pub(super) struct Areas {
     /// The room's id of each matched area, by the area's id.

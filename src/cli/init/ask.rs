@@ -24,7 +24,6 @@ impl Asker {
         Self { terminal: asks.then(terminal) }
     }
 
-    /// Asks over these ends.
     #[cfg(test)]
     pub(super) fn of(input: impl BufRead + 'static, output: impl Write + 'static) -> Self {
         Self { terminal: Some(Terminal { input: Box::new(input), output: Box::new(output) }) }

@@ -22,7 +22,6 @@ pub(super) fn name_of_robot(robot: &str, residents: &[String]) -> Option<String>
     Some(name).filter(|name| check_name(name).is_ok() && !is_taken(name))
 }
 
-/// The configuration, with comments.
 pub(super) fn configuration(map: &SemanticMap, has_rules: bool, found: &Found) -> String {
     let quoted = |text: &str| toml::Value::from(text).to_string();
     let path = |path: &Path| quoted(&path.to_string_lossy());

@@ -14,7 +14,6 @@ use super::{Args, CommandResult, Failure, MAP, import_map, input};
 use crate::cli::home_source::{HomeOptions, home_assistant, is_url};
 use crate::cli::scene_files::read;
 
-/// How long to listen for robots at the broker.
 const LOOK: Duration = Duration::from_secs(3);
 /// The broker that is tried by default.
 pub(super) const LOCAL_BROKER: &str = "mqtt://127.0.0.1";
@@ -24,12 +23,10 @@ const FOLDERS: [&str; 4] =
 const OWN_FOLDER: &str = ".homeassistant";
 /// Valetudo's topic of its state, after its prefix and identifier.
 const STATUS: &str = "/StatusStateAttribute/status";
-/// Default quiet hours.
 pub(super) const QUIET: &str = "22:00-07:00";
 /// The token's file name in docs/home.md.
 const TOKEN_FILE: &str = "token";
 
-/// The given, found and asked values.
 pub(super) struct Found {
     pub(super) broker: Option<Broker>,
     pub(super) seen: Seen,
@@ -43,7 +40,6 @@ pub(super) struct Found {
     pub(super) notes: Vec<String>,
 }
 
-/// Takes the given values, searches for the others, and asks.
 pub(super) fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
     let mut notes = Vec::new();
     let (mut home_assistant, token) = find_home_assistant(args, asker, &mut notes)?;
@@ -151,7 +147,6 @@ fn home_folder() -> Option<PathBuf> {
     all.into_iter().find(|folder| folder.join(".storage/core.area_registry").is_file())
 }
 
-/// The broker, and the robots' topics there.
 pub(super) fn find_broker(
     args: &Args,
     asker: &mut Asker,
@@ -251,7 +246,6 @@ pub(super) fn no_rooms() -> Failure {
     Failure::usage(text)
 }
 
-/// The failure of an unusable broker configuration.
 fn unusable(error: LookError) -> Failure {
     if matches!(&error, LookError::Setup(MqttError::Read { .. })) {
         let text = format!("{error}; give --mqtt-credentials and --mqtt-ca files that are there, or leave them out");
@@ -270,7 +264,6 @@ fn robots_at(seen: &Seen) -> Vec<&str> {
     robots
 }
 
-/// Whether a robot's topic is of a vacuum in Home Assistant.
 pub(super) fn is_of_home_assistant(robot: &str) -> bool {
     robot.contains("/vacuum/")
 }
@@ -432,7 +425,6 @@ fn names_in(text: &str) -> Vec<String> {
     text.split(',').map(str::trim).filter(|name| !name.is_empty()).map(str::to_owned).collect()
 }
 
-/// Checks whether these may be residents.
 fn checked_residents(names: &[String]) -> CommandResult {
     if names.iter().any(|name| name == "none") {
         return Err(Failure::usage("none means nobody and stands alone: give names, or none"));

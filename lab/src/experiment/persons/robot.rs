@@ -10,7 +10,6 @@ use crate::home_simulation::DAY_S;
 use roomcast_core::policy::{CoverageAware, Policy, RobotState};
 use roomcast_services::config::PlannerConfig;
 
-/// Seconds of work in a room.
 const STAY_S: usize = 600;
 /// Stays of a round for each room.
 const STAYS: usize = 2;
