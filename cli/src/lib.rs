@@ -153,6 +153,16 @@ pub fn table(header: &[&str]) -> comfy_table::Table {
     table
 }
 
+/// The head of a column, and its cell in a row.
+pub type Column<'c, R> = (&'c str, &'c dyn Fn(&R) -> String);
+
+/// A table with a line for each row.
+pub fn table_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Column<'_, R>]) -> comfy_table::Table {
+    let mut table = table(&columns.iter().map(|(head, _)| *head).collect::<Vec<_>>());
+    table.add_rows(rows.into_iter().map(|row| columns.iter().map(|(_, cell)| cell(row)).collect::<Vec<_>>()));
+    table
+}
+
 /// Prints on standard output and flushes it, because an unflushed buffer is lost without an error. Control characters are made visible: much of the
 /// text is untrusted.
 ///

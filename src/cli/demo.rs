@@ -15,7 +15,7 @@ use hdrhistogram::Histogram;
 use roomcast_ipc::raw::{
     DecisionV1, NarrationV1, RobotReportV1, RoomScoresV1, action, decision_flags, report_kind, score_flags,
 };
-use roomcast_ipc::{Domain, IpcError, ItemScoresSubscriber, Node, Subscriber};
+use roomcast_ipc::{IpcError, ItemScoresSubscriber, Node, Subscriber};
 use roomcast_services::clock;
 
 use super::demo_robot::DemoRobot;
@@ -95,10 +95,8 @@ pub fn run(args: &Args) -> CommandResult {
     let horizon_s = plot.timeline.len();
     let speed = horizon_s as f64 / args.seconds;
 
-    let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp");
-    let directory = directory.map_err(|error| Failure::failed(format!("cannot use /tmp: {error}")))?;
-    let domain = Domain::new(directory.path().join("d"), &format!("demo-{}", std::process::id()))?;
-    let mut stage = Stage::new(domain.clone(), directory.path());
+    let mut stage = Stage::new("demo")?;
+    let domain = stage.domain();
     let node = domain.open("roomcast-demo")?;
     let mut show = Show::new(&node, &grounding, &plot.timeline, speed)?;
 

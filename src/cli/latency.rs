@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 use indicatif::{ProgressBar, ProgressStyle};
+use roomcast_ipc::Node;
 use roomcast_ipc::raw::{DecisionV1, RoomScoresV1};
-use roomcast_ipc::{Domain, Node};
 use serde::Serialize;
 
 use super::stage::Stage;
@@ -180,13 +180,10 @@ fn measure(
     stop: &Stop,
     progress: &Progress,
 ) -> Result<Vec<Row>, Failure> {
-    let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp");
-    let directory = directory.map_err(|error| Failure::failed(format!("cannot use /tmp: {error}")))?;
-    let domain = Domain::new(directory.path().join("d"), &format!("latency-{}", std::process::id()))?;
-    let mut stage = Stage::new(domain.clone(), directory.path());
+    let mut stage = Stage::new("latency")?;
     let prepare = args.prepare.map(|prepare| format!("[scoring]\nprepare = {prepare}\n")).unwrap_or_default();
     stage.configure(&format!("[ipc]\nspin_us = {}\n{prepare}", args.spin))?;
-    let node = domain.open("roomcast-latency")?;
+    let node = stage.domain().open("roomcast-latency")?;
     let result = on_stage(args, kind, sentences, (&mut stage, &node), stop, progress);
     // The node must be dropped before the domain can be removed.
     drop(node);
@@ -298,43 +295,30 @@ fn sentences(file: Option<&std::path::Path>) -> Result<Vec<String>, Failure> {
 }
 
 fn print(rows: &[Row]) -> CommandResult {
-    let mut table = super::table(&[
-        "path",
-        "scorer",
-        "load",
-        "n",
-        "p50 (us)",
-        "p90 (us)",
-        "p99 (us)",
-        "p99.9 (us)",
-        "max (us)",
-        "p50 / bare",
-        "p99 / bare",
-    ]);
+    let us = |ns: u64| format!("{:.1}", ns as f64 / 1e3);
+    let ratio = |row: &Row, of: fn(&Row) -> u64| {
+        let same = |bare: &&Row| (bare.path, bare.scorer, bare.load) == (Path::BareIceoryx2, row.scorer, row.load);
+        let bare = rows.iter().find(same);
+        bare.map(|bare| format!("{:.2}", of(row) as f64 / of(bare).max(1) as f64)).unwrap_or_default()
+    };
+    let mut table = roomcast_cli::table_of(
+        rows,
+        &[
+            ("path", &|row| serde_json::json!(row.path).as_str().unwrap_or_default().to_owned()),
+            ("scorer", &|row| row.scorer.to_owned()),
+            ("load", &|row| row.load.to_owned()),
+            ("n", &|row| row.n.to_string()),
+            ("p50 (us)", &|row| us(row.p50_ns)),
+            ("p90 (us)", &|row| us(row.p90_ns)),
+            ("p99 (us)", &|row| us(row.p99_ns)),
+            ("p99.9 (us)", &|row| us(row.p999_ns)),
+            ("max (us)", &|row| us(row.max_ns)),
+            ("p50 / bare", &|row| ratio(row, |row| row.p50_ns)),
+            ("p99 / bare", &|row| ratio(row, |row| row.p99_ns)),
+        ],
+    );
     // In a narrow terminal this many columns would break names and figures.
     table.set_content_arrangement(comfy_table::ContentArrangement::Disabled);
-    for row in rows {
-        let bare =
-            rows.iter().find(|bare| (bare.path, bare.scorer, bare.load) == (Path::BareIceoryx2, row.scorer, row.load));
-        let us = |ns: u64| format!("{:.1}", ns as f64 / 1e3);
-        let ratio = |of: fn(&Row) -> u64| {
-            bare.map(|bare| format!("{:.2}", of(row) as f64 / of(bare).max(1) as f64)).unwrap_or_default()
-        };
-        let path = serde_json::to_value(row.path).ok().and_then(|path| path.as_str().map(str::to_owned));
-        table.add_row(vec![
-            path.unwrap_or_default(),
-            row.scorer.to_owned(),
-            row.load.to_owned(),
-            row.n.to_string(),
-            us(row.p50_ns),
-            us(row.p90_ns),
-            us(row.p99_ns),
-            us(row.p999_ns),
-            us(row.max_ns),
-            ratio(|row| row.p50_ns),
-            ratio(|row| row.p99_ns),
-        ]);
-    }
     super::print(&format!(
         "{table}\nRound trips between processes, in microseconds: a narration there, scores or a decision back. The yardsticks carry the \
          same\nsizes and do nothing in between. A first part takes scores and yardsticks in turn, a second part decisions; what the daemon \

@@ -252,6 +252,12 @@ struct Checked {
     found: String,
 }
 
+impl Checked {
+    fn new(check: &'static str, ok: bool, found: String) -> Self {
+        Self { check, ok, found }
+    }
+}
+
 /// Largest difference between two methods' scores of one label, in nats per token. Quantised kernels round activations, and sums in another order, as
 /// in other batches, may round to the next step.
 const METHODS_TOLERANCE_NATS_PER_TOKEN: f64 = 2e-2;
@@ -275,36 +281,24 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
     let model = LlamaModel::load(&path, &options).map_err(model_failure)?;
     let about = model.info().clone();
     let sha256 = hex::encode(about.fingerprint);
-    let mut checked = vec![Checked {
-        check: "loads",
-        ok: true,
-        found: format!("{}, {}, {} tokens of vocabulary", about.architecture, about.description, about.vocabulary),
-    }];
+    let loaded = format!("{}, {}, {} tokens of vocabulary", about.architecture, about.description, about.vocabulary);
 
     let mut scorer = Scorer::new(model);
     let labels: Vec<_> = case.labels.iter().map(|known| known.label.clone()).collect();
     let binding: BindingSequence = case.binding.parse().map_err(|error| Failure::input(format!("binding: {error}")))?;
     let Compared { scores, worst, needed, tokenises } = compared(&mut scorer, &case, &labels, &binding)?;
-    checked.push(tokenises);
-    if let Some(damaged) = file.and_then(copy_of_embedded) {
-        checked.push(damaged);
-    }
     let mass: f64 = scores[0].iter().map(|log_prob_nats| log_prob_nats.exp()).sum();
-    checked.push(Checked {
-        check: "scores are probabilities",
-        // No label of the case begins another, so their scores add up to at most 1.
-        ok: scores.iter().flatten().all(|score| score.is_finite() && *score <= 1e-6) && mass <= 1.0 + 1e-6,
-        found: format!("{} labels, together {:.1} %", labels.len(), 100.0 * mass),
-    });
+    // No label of the case begins another, so their scores add up to at most 1.
+    let are_probabilities =
+        scores.iter().flatten().all(|score| score.is_finite() && *score <= 1e-6) && mass <= 1.0 + 1e-6;
+    let together = format!("{} labels, together {:.1} %", labels.len(), 100.0 * mass);
+    let agree = format!("within {worst:.1e} nats per token, {METHODS_TOLERANCE_NATS_PER_TOKEN:.0e} allowed");
+    let mut checked = vec![Checked::new("loads", true, loaded), tokenises];
+    checked.extend(file.and_then(copy_of_embedded));
+    checked.push(Checked::new("scores are probabilities", are_probabilities, together));
     checked.push(expects(mass, needed));
-    checked.push(Checked {
-        check: "methods agree",
-        ok: worst <= METHODS_TOLERANCE_NATS_PER_TOKEN,
-        found: format!("within {worst:.1e} nats per token, {METHODS_TOLERANCE_NATS_PER_TOKEN:.0e} allowed"),
-    });
-    if known.is_some() {
-        checked.push(compare(&case, &sha256, &scores[0]));
-    }
+    checked.push(Checked::new("methods agree", worst <= METHODS_TOLERANCE_NATS_PER_TOKEN, agree));
+    checked.extend(known.is_some().then(|| compare(&case, &sha256, &scores[0])));
 
     if let Some(record) = record {
         case.model_sha256 = sha256;
@@ -322,10 +316,8 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
         print(&lines.collect::<String>())?;
     }
     if failed > 0 {
-        return Err(Failure::check(format!(
-            "{} failed: this model gives no scores to rely on",
-            count(failed, "check")
-        )));
+        let text = format!("{} failed: this model gives no scores to rely on", count(failed, "check"));
+        return Err(Failure::check(text));
     }
     Ok(())
 }
@@ -392,21 +384,18 @@ fn tokenises(scorer: &Scorer<LlamaModel>, labels: &[String], tokens: &[Vec<Token
     let misspelt: Vec<_> =
         labels.iter().zip(tokens).filter(|(label, tokens)| spelled(tokens).trim_start() != label.as_str()).collect();
     let count: usize = tokens.iter().map(Vec::len).sum();
-    Checked {
-        check: "tokenises",
-        ok: misspelt.is_empty(),
-        found: match misspelt.first() {
-            None => format!("{} labels, {:.1} tokens each", labels.len(), count as f64 / labels.len().max(1) as f64),
-            Some((label, tokens)) => format!("the label {label:?} comes back as {:?}", spelled(tokens)),
-        },
-    }
+    let found = match misspelt.first() {
+        None => format!("{} labels, {:.1} tokens each", labels.len(), count as f64 / labels.len().max(1) as f64),
+        Some((label, tokens)) => format!("the label {label:?} comes back as {:?}", spelled(tokens)),
+    };
+    Checked::new("tokenises", misspelt.is_empty(), found)
 }
 
 /// Checks whether the model expects such labels, by their total probability.
 fn expects(mass: f64, needed: f64) -> Checked {
     let ok = mass >= needed;
     let remedy = if ok { "" } else { ": it does not know how such a sentence goes on; take another model" };
-    Checked { check: "labels are expected", ok, found: format!("{mass:.1e} in all, {needed:.0e} needed{remedy}") }
+    Checked::new("labels are expected", ok, format!("{mass:.1e} in all, {needed:.0e} needed{remedy}"))
 }
 
 /// Whether the file is the embedded model with a few bytes changed: damage that scores may not show. `None` for another model.
@@ -418,29 +407,23 @@ fn copy_of_embedded(file: &Path) -> Option<Checked> {
     }
     let bytes = std::fs::read(file).ok()?;
     let different = bytes.iter().zip(embedded::MODEL).filter(|(a, b)| a != b).count();
-    (different as f64 <= SHARE_MAX * embedded::MODEL.len() as f64).then(|| Checked {
-        check: "is a whole copy",
-        ok: different == 0,
-        found: match different {
-            0 => "of the embedded model, byte for byte".to_owned(),
-            _ => format!("{different} bytes differ from the embedded model's: damaged on the way; copy it again"),
-        },
-    })
+    let found = match different {
+        0 => "of the embedded model, byte for byte".to_owned(),
+        _ => format!("{different} bytes differ from the embedded model's: damaged on the way; copy it again"),
+    };
+    let is_copy = different as f64 <= SHARE_MAX * embedded::MODEL.len() as f64;
+    is_copy.then(|| Checked::new("is a whole copy", different == 0, found))
 }
 
 fn compare(case: &KnownCase, sha256: &str, scores: &[f64]) -> Checked {
     let worst =
         case.labels.iter().zip(scores).map(|(known, score)| (known.log_prob_nats - score).abs()).fold(0.0, f64::max);
     let same_file = case.model_sha256 == sha256;
-    Checked {
-        check: "known scores",
-        ok: same_file && worst <= case.tolerance_nats,
-        found: if same_file {
-            format!("within {worst:.1e} nats of those recorded, {:.0e} allowed", case.tolerance_nats)
-        } else {
-            format!("the case was recorded for the file {}, this is {sha256}", case.model_sha256)
-        },
-    }
+    let found = match same_file {
+        true => format!("within {worst:.1e} nats of those recorded, {:.0e} allowed", case.tolerance_nats),
+        false => format!("the case was recorded for the file {}, this is {sha256}", case.model_sha256),
+    };
+    Checked::new("known scores", same_file && worst <= case.tolerance_nats, found)
 }
 
 #[cfg(feature = "pull")]

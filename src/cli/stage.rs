@@ -3,12 +3,13 @@
 use std::ffi::OsString;
 use std::fs::File;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use roomcast_ipc::Domain;
 use rustix::process::{Pid, Signal, getppid, kill_process, set_parent_process_death_signal};
+use tempfile::TempDir;
 
 use super::{CommandResult, Failure};
 use crate::exit_code;
@@ -37,18 +38,26 @@ pub(super) fn leave_with_parent() -> io::Result<()> {
 pub(super) struct Stage {
     children: Vec<(&'static str, Child)>,
     domain: Domain,
-    logs: PathBuf,
+    /// Has the domain, the processes' logs and their configuration.
+    folder: TempDir,
     config: Option<PathBuf>,
 }
 
 impl Stage {
-    /// An empty stage; the processes log into files in `logs`.
-    pub(super) fn new(domain: Domain, logs: &Path) -> Self {
-        Self { children: Vec::new(), domain, logs: logs.to_owned(), config: None }
+    /// An empty stage with a domain of its own.
+    pub(super) fn new(name: &str) -> Result<Self, Failure> {
+        let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp");
+        let folder = folder.map_err(|error| Failure::failed(format!("cannot use /tmp: {error}")))?;
+        let domain = Domain::new(folder.path().join("d"), &format!("{name}-{}", std::process::id()))?;
+        Ok(Self { children: Vec::new(), domain, folder, config: None })
+    }
+
+    pub(super) fn domain(&self) -> Domain {
+        self.domain.clone()
     }
 
     pub(super) fn configure(&mut self, text: &str) -> CommandResult {
-        let path = self.logs.join("config.toml");
+        let path = self.folder.path().join("config.toml");
         std::fs::write(&path, text)
             .map_err(|error| Failure::failed(format!("cannot write {}: {error}", path.display())))?;
         self.config = Some(path);
@@ -89,7 +98,7 @@ impl Stage {
     }
 
     fn log(&self, number: usize) -> PathBuf {
-        self.logs.join(format!("log-{number}"))
+        self.folder.path().join(format!("log-{number}"))
     }
 
     /// Fails with the message of a process that has ended, unless it is the narrator and it succeeded.

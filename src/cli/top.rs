@@ -7,10 +7,10 @@ use crossterm::event::{self, Event, KeyCode, KeyEventKind};
 use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_ipc::raw::{
     DecisionV1, ForecastV1, LEARNED_SHARE_S, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1,
-    PersonV1, RobotReportV1, RoomScoresV1, narration_kind,
+    PersonV1, RobotReportV1, RoomScoresV1,
 };
 use roomcast_ipc::{
-    Action, Domain, IpcError, ItemScoresSubscriber, Node, Presence, StatusClient, Subscriber, sequence,
+    Action, Domain, IpcError, ItemScoresSubscriber, NarrationKind, Node, Presence, StatusClient, Subscriber, sequence,
 };
 use roomcast_services::clock;
 use serde_json::{Value, json};
@@ -412,25 +412,16 @@ fn learned_json(person: &PersonForecastV1) -> Value {
 fn narration_json(told: &NarrationV1) -> Value {
     // Unknown values are null: somebody has no number, and a known person may have no name.
     let person = (told.person != PersonId::SOMEBODY.0).then_some(told.person);
+    let kind = Some(NarrationKind::of(told.kind)).filter(|kind| !matches!(kind, NarrationKind::Unknown(_)));
     json!({
         "source": told.source_name(), "person": person, "name": given(told.person_name()), "kind": told.kind,
-        "kind_name": kind_word(told.kind),
+        "kind_name": kind.map(NarrationKind::word),
         "text": told.text(), "observed_ns": told.observed_ns,
     })
 }
 
 fn given(text: &str) -> Option<&str> {
     (!text.is_empty()).then_some(text)
-}
-
-const fn kind_word(kind: u32) -> Option<&'static str> {
-    match kind {
-        narration_kind::SENTENCE => Some("sentence"),
-        narration_kind::ACTION => Some("action"),
-        narration_kind::DEVICE => Some("device"),
-        narration_kind::PRESENCE => Some("presence"),
-        _ => None,
-    }
 }
 
 /// A decision with the scores of its daemon. `robot` is the configured robot's name, which its planner may not send.

@@ -10,10 +10,10 @@ use crate::experiment::habits::{
     self, ALL, Days, Difference, HALF, Options, PREDICTORS, Report, Row, Sets, TARGETS, UNSEEN,
 };
 use crate::experiment::losses::{Figure, shown};
-use crate::experiment::report::{Column, Report as Page, Table};
+use crate::experiment::report::{Report as Page, Table};
 use crate::experiment::{Progress, distinct};
 use roomcast_cli::choice::choice;
-use roomcast_cli::{CommandResult, Failure, count, print, print_json, ranges, tell_unfit};
+use roomcast_cli::{Column, CommandResult, Failure, count, print, print_json, ranges, tell_unfit};
 use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::{HabitsOptions, Without};
 use roomcast_core::narration::Event;

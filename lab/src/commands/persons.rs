@@ -8,12 +8,12 @@ use strum::VariantNames;
 
 use super::maps;
 use crate::experiment::persons::{self, Method, Row, Setup, ahead};
-use crate::experiment::report::{Column, Table};
+use crate::experiment::report::Table;
 use crate::experiment::{Progress, prediction};
 use crate::home_simulation::days::VISITS;
 use crate::home_simulation::plan::Device;
 use crate::home_simulation::recorded::Recorded;
-use roomcast_cli::{CommandResult, Failure, print, print_json, ranges};
+use roomcast_cli::{Column, CommandResult, Failure, print, print_json, ranges};
 use roomcast_core::tracker::Options;
 
 /// Most residents of a simulated home.

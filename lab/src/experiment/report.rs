@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use roomcast_cli::{CommandResult, Failure};
+use roomcast_cli::{Column, CommandResult, Failure};
 
 use super::chart::escape;
 
@@ -14,9 +14,6 @@ pub struct Table {
     pub header: Vec<String>,
     pub rows: Vec<Vec<String>>,
 }
-
-/// The head of a column, and its cell in a row.
-pub type Column<'c, R> = (&'c str, &'c dyn Fn(&R) -> String);
 
 impl Table {
     pub fn new<H: Into<String>>(name: &str, title: &str, header: impl IntoIterator<Item = H>) -> Self {

@@ -11,9 +11,10 @@ use serde::Serialize;
 
 use super::chart::{Mark, Series};
 use super::losses::RESAMPLES;
-use super::report::{Column, Table};
+use super::report::Table;
 use super::resampling::{ci95, drawn};
 use super::tables::{PaperRow, coverage_chart, front_series, mixed};
+use roomcast_cli::Column;
 use roomcast_core::policy::PolicyName;
 use roomcast_simulation::binding::ItemChoice;
 use roomcast_simulation::study::{Cell, Decider};

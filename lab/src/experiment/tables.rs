@@ -4,7 +4,8 @@ use serde::Serialize;
 
 use super::chart::{Chart, Mark, Series, histogram};
 use super::distinct;
-use super::report::{Column, Report, Table};
+use super::report::{Report, Table};
+use roomcast_cli::Column;
 use roomcast_core::policy::PolicyName;
 use roomcast_simulation::clairvoyant::{Optimum, bound_s};
 use roomcast_simulation::study::{Cell, Decider, Figures, HorizonRow, figures};
