@@ -35,7 +35,6 @@ use roomcast_services::recording;
 use roomcast_services::sensor_log::{Said, SensorRules};
 
 /// The server of metrics and page is part of the program and not of a library.
-#[cfg(feature = "metrics")]
 #[path = "../src/http.rs"]
 mod http;
 
@@ -47,7 +46,6 @@ pub const ALL: &[(&str, Target)] = &[
     ("configuration", configuration),
     ("gguf", gguf),
     ("home", home),
-    #[cfg(feature = "metrics")]
     ("http", requests),
     ("journal", journal),
     ("line", line),
@@ -99,7 +97,6 @@ pub fn home(bytes: &[u8]) {
 }
 
 /// Any bytes on a connection to the HTTP server get at most one answer, with the length in its header; nothing larger than the limit is passed on.
-#[cfg(feature = "metrics")]
 pub fn requests(bytes: &[u8]) {
     use std::cell::{Cell, RefCell};
     use std::rc::Rc;

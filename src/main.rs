@@ -1,9 +1,6 @@
 //! The `roomcast` binary: the command line, and features for people at a terminal.
 
-#![cfg_attr(
-    not(all(feature = "demo", feature = "simulation", feature = "latency", feature = "recordings")),
-    allow(dead_code, reason = "commands that a smaller build leaves out use it")
-)]
+#![cfg_attr(not(feature = "whole"), allow(dead_code, reason = "commands that a smaller build leaves out use it"))]
 
 use std::process::ExitCode;
 
@@ -13,29 +10,29 @@ mod bar;
 mod cli;
 mod columns;
 mod decided;
-#[cfg(all(test, feature = "view"))]
+#[cfg(all(feature = "whole", test))]
 #[path = "../tests/support/eventually.rs"]
 #[expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
 mod eventually;
 mod flags;
-#[cfg(feature = "home")]
+#[cfg(feature = "whole")]
 mod home_assistant;
-#[cfg(any(feature = "metrics", feature = "view"))]
+#[cfg(feature = "whole")]
 mod http;
-#[cfg(feature = "pull")]
+#[cfg(feature = "whole")]
 mod hub;
-#[cfg(feature = "latency")]
+#[cfg(feature = "whole")]
 mod latency;
-#[cfg(feature = "metrics")]
+#[cfg(feature = "whole")]
 mod metrics;
-#[cfg(feature = "publish")]
+#[cfg(feature = "whole")]
 mod publish;
 mod reasons;
-#[cfg(any(feature = "publish", feature = "top", feature = "view"))]
+#[cfg(feature = "whole")]
 mod robot_place;
-#[cfg(any(feature = "top", feature = "view"))]
+#[cfg(feature = "whole")]
 mod top;
-#[cfg(feature = "view")]
+#[cfg(feature = "whole")]
 mod view;
 
 fn main() -> ExitCode {

@@ -7,14 +7,14 @@ use crate::exit_code;
 use roomcast_core::text::visible;
 use roomcast_llama::affinity;
 use roomcast_llama::gguf::Header;
-#[cfg(feature = "mqtt")]
-use roomcast_services::config::MqttConfig;
 use roomcast_services::config::{Config, ConfigError, DEFAULT_TOML};
-#[cfg(feature = "mqtt")]
-use roomcast_services::logging::chain;
-#[cfg(feature = "mqtt")]
-use roomcast_services::mqtt::{Broker, MqttError};
 use roomcast_services::setup;
+#[cfg(feature = "whole")]
+use roomcast_services::{
+    config::MqttConfig,
+    logging::chain,
+    mqtt::{Broker, MqttError},
+};
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -56,7 +56,7 @@ fn check_names(config: &Config, file: &Path) -> CommandResult {
     let (wrong, limited) = doctor::names(config, map.as_ref().ok(), file);
     failures.extend([map.map(|_| ()).map_err(Failure::from), model, pin, cores].into_iter().filter_map(Result::err));
     failures.extend(wrong.into_iter().map(Failure::config));
-    #[cfg(feature = "mqtt")]
+    #[cfg(feature = "whole")]
     failures.extend(check_broker(&config.mqtt));
     for remark in limited.into_iter().chain(service::overridden(config)) {
         super::tell(format_args!("roomcast: {}", visible(&remark)));
@@ -71,7 +71,7 @@ fn check_names(config: &Config, file: &Path) -> CommandResult {
     Err(Failure::new(missing.unwrap_or(failures[0].code), text))
 }
 
-#[cfg(feature = "mqtt")]
+#[cfg(feature = "whole")]
 fn check_broker(config: &MqttConfig) -> Option<Failure> {
     let broker = Broker {
         address: config.broker.clone()?,

@@ -11,13 +11,13 @@ use rustix::process::{Resource, getrlimit};
 
 mod finding;
 mod home;
-#[cfg(feature = "mqtt")]
+#[cfg(feature = "whole")]
 mod home_mqtt;
-#[cfg(feature = "mqtt")]
+#[cfg(feature = "whole")]
 mod remarks;
 
 use finding::{Finding, Place, Verdict};
-#[cfg(feature = "mqtt")]
+#[cfg(feature = "whole")]
 pub(super) use remarks::Remarks;
 
 use super::scene::is_missing;
@@ -406,7 +406,7 @@ fn table(findings: &[Finding], columns: usize) -> Table {
             Verdict::Wrong => "WRONG",
         };
         let mark = comfy_table::Cell::new(mark);
-        #[cfg(feature = "colours")]
+        #[cfg(feature = "whole")]
         let mark = mark.fg(match finding.verdict {
             Verdict::Good => comfy_table::Color::Green,
             Verdict::Limited => comfy_table::Color::Yellow,

@@ -5,8 +5,6 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
 use roomcast_ipc::question;
-#[cfg(feature = "simulation")]
-use roomcast_ipc::raw::narration_kind;
 
 use super::service::{self, Asking};
 use super::{CommandResult, Failure, print, table};
@@ -14,12 +12,10 @@ use crate::exit_code;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, Zone};
 use roomcast_services::lessons::{self, Lessons};
 use roomcast_services::logging;
-#[cfg(feature = "simulation")]
-use roomcast_services::narrator::Item;
 use roomcast_services::narrator::{Faults, Who};
 use roomcast_services::sensor_log::{self, SensorRules};
-#[cfg(feature = "simulation")]
-use roomcast_simulation::homer::Day;
+#[cfg(feature = "whole")]
+use {roomcast_ipc::raw::narration_kind, roomcast_services::narrator::Item, roomcast_simulation::homer::Day};
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -82,11 +78,11 @@ struct LearnArgs {
     #[arg(long, value_name = "FILE")]
     recording: Option<PathBuf>,
     /// A folder of days of activities (HOMER+), in the order of their names, with local times.
-    #[cfg(feature = "simulation")]
+    #[cfg(feature = "whole")]
     #[arg(long, value_name = "FOLDER")]
     days: Option<PathBuf>,
     /// The date of the first of these days; by default the last one was yesterday.
-    #[cfg(feature = "simulation")]
+    #[cfg(feature = "whole")]
     #[arg(long, value_name = "YYYY-MM-DD", requires = "days", conflicts_with = "rules", conflicts_with_all = INPUTS.iter().filter(|input| **input != "days"))]
     first_day: Option<String>,
     /// The person, by name or number, if the input names none.
@@ -96,9 +92,9 @@ struct LearnArgs {
     common: Asking,
 }
 
-#[cfg(feature = "simulation")]
+#[cfg(feature = "whole")]
 const INPUTS: [&str; 4] = ["lines", "sensors", "recording", "days"];
-#[cfg(not(feature = "simulation"))]
+#[cfg(not(feature = "whole"))]
 const INPUTS: [&str; 3] = ["lines", "sensors", "recording"];
 
 pub fn run(args: &Args) -> CommandResult {
@@ -235,7 +231,7 @@ fn learn(args: &LearnArgs) -> CommandResult {
 fn lessons_of(args: &LearnArgs) -> Result<(Lessons, &'static str), Failure> {
     let person = args.person.clone().unwrap_or_default();
     let (zone, now_unix_ns) = (Zone::local(), roomcast_services::clock::unix_ns());
-    #[cfg(feature = "simulation")]
+    #[cfg(feature = "whole")]
     if let Some(folder) = &args.days {
         let days = roomcast_cli::days::read(folder)?;
         let first_s = first_day_s(args.first_day.as_deref(), days.len(), zone.local_s(now_unix_ns))?;
@@ -255,7 +251,7 @@ fn lessons_of(args: &LearnArgs) -> Result<(Lessons, &'static str), Failure> {
             lessons.take_sensors(narrated);
             Ok((lessons, "line"))
         }
-        #[cfg(feature = "recordings")]
+        #[cfg(feature = "whole")]
         (_, _, Some(recording), _) => {
             let recording = super::record::read(recording)?;
             let mut lessons = Lessons::of_wall_clock(zone, now_unix_ns);
@@ -280,7 +276,7 @@ fn tell_faults(faults: &Faults) {
 }
 
 /// The start of the first of these days, in seconds since 1970, local time.
-#[cfg(feature = "simulation")]
+#[cfg(feature = "whole")]
 fn first_day_s(date: Option<&str>, days: usize, now_s: f64) -> Result<f64, Failure> {
     const DAY_S: f64 = 86_400.0;
     let Some(date) = date else {
@@ -291,7 +287,7 @@ fn first_day_s(date: Option<&str>, days: usize, now_s: f64) -> Result<f64, Failu
         .ok_or_else(|| Failure::usage(format!("--first-day {date:?} is no date: give YYYY-MM-DD")))
 }
 
-#[cfg(feature = "simulation")]
+#[cfg(feature = "whole")]
 struct TimedItem {
     /// From 1, as is the action's number in the day.
     day: usize,
@@ -302,7 +298,7 @@ struct TimedItem {
 }
 
 /// The narration of successive days, each action at its time. Times never go back, even if a day ends after the start of the next one.
-#[cfg(feature = "simulation")]
+#[cfg(feature = "whole")]
 fn day_items(days: &[Day], first_s: f64, person: &Who) -> impl Iterator<Item = TimedItem> {
     let mut last_s = first_s;
     let days = (1..).zip(days).flat_map(move |(day, actions)| {
@@ -482,7 +478,7 @@ mod tests {
         assert!(parts_of("").is_empty());
     }
 
-    #[cfg(feature = "simulation")]
+    #[cfg(feature = "whole")]
     #[test]
     fn days_of_activities_are_narrated_with_their_times() {
         let day = Day::parse("### a.txt\n[GRAB] <mug> (12) [1]\n1439.0\n[OPEN] <fridge> (3) [2]\n1450.5\n").unwrap();

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::Failure;
 use super::scene_files::{in_file, input, read, write};
-#[cfg(feature = "home")]
+#[cfg(feature = "whole")]
 use crate::home_assistant;
 use roomcast_core::semantic_map::import::{self, Home, Registries};
 
@@ -41,7 +41,7 @@ pub(super) fn home_assistant(source: &Path, name: &str, options: HomeOptions<'_>
     from_folder(source, name, options.registries)
 }
 
-#[cfg(feature = "home")]
+#[cfg(feature = "whole")]
 fn over_network(source: &Path, name: &str, options: HomeOptions<'_>) -> Result<Home, Failure> {
     let url = source.to_string_lossy();
     let Some(token) = options.token_file else {
@@ -55,11 +55,11 @@ fn over_network(source: &Path, name: &str, options: HomeOptions<'_>) -> Result<H
         .map_err(|error| in_file(&format!("Home Assistant {} at", fetched.version), source, &error))
 }
 
-#[cfg(not(feature = "home"))]
+#[cfg(not(feature = "whole"))]
 fn over_network(source: &Path, _: &str, _: HomeOptions<'_>) -> Result<Home, Failure> {
     let source = source.display();
     Err(input(format!(
-        "{source}: this build has no network; give the configuration folder, or build with --features home"
+        "{source}: this build has no network; give the configuration folder, or build without --no-default-features"
     )))
 }
 
@@ -92,10 +92,10 @@ fn from_folder(folder: &Path, name: &str, options: Registries<'_>) -> Result<Hom
 }
 
 pub(super) fn check_rules(path: &Path, rules: &str) -> Result<(), Failure> {
-    #[cfg(feature = "mqtt")]
+    #[cfg(feature = "whole")]
     roomcast_services::mqtt::Rules::parse(rules)
         .map_err(|fault| input(format!("the rules for {} cannot be used: {fault}", path.display())))?;
-    #[cfg(not(feature = "mqtt"))]
+    #[cfg(not(feature = "whole"))]
     let _unread = (path, rules);
     Ok(())
 }

@@ -14,53 +14,53 @@ use roomcast_cli::{table, tell};
 use crate::exit_code;
 use roomcast_services::logging;
 
-#[cfg(feature = "mqtt")]
+#[cfg(feature = "whole")]
 mod broker;
-#[cfg(feature = "manuals")]
+#[cfg(feature = "whole")]
 mod completions;
 mod config;
 mod daemon;
-#[cfg(feature = "demo")]
+#[cfg(feature = "whole")]
 mod demo;
-#[cfg(feature = "demo")]
+#[cfg(feature = "whole")]
 mod demo_robot;
-#[cfg(feature = "demo")]
+#[cfg(feature = "whole")]
 mod demo_story;
-#[cfg(feature = "demo")]
+#[cfg(feature = "whole")]
 mod demo_week;
 mod doctor;
-#[cfg(feature = "simulation")]
+#[cfg(feature = "whole")]
 mod draw;
-#[cfg(all(feature = "simulation", feature = "recordings"))]
+#[cfg(feature = "whole")]
 mod explain;
 mod habits;
 mod help;
 mod home_source;
-#[cfg(feature = "home")]
+#[cfg(feature = "whole")]
 mod init;
-#[cfg(feature = "latency")]
+#[cfg(feature = "whole")]
 mod latency;
-#[cfg(feature = "manuals")]
+#[cfg(feature = "whole")]
 mod man;
-#[cfg(feature = "metrics")]
+#[cfg(feature = "whole")]
 mod metrics;
 mod model;
 mod narrate;
-#[cfg(feature = "mqtt")]
+#[cfg(feature = "whole")]
 mod narrate_mqtt;
 mod person;
 mod planner;
-#[cfg(feature = "publish")]
+#[cfg(feature = "whole")]
 mod publish;
-#[cfg(feature = "recordings")]
+#[cfg(feature = "whole")]
 mod record;
-#[cfg(feature = "recordings")]
+#[cfg(feature = "whole")]
 mod replay;
 mod report;
 #[cfg(test)]
 #[path = "../../tests/support/requirements.rs"]
 mod requirements;
-#[cfg(feature = "robot")]
+#[cfg(feature = "whole")]
 mod robot;
 mod scene;
 mod scene_files;
@@ -68,9 +68,9 @@ mod scene_import;
 mod score;
 mod service;
 mod stage;
-#[cfg(feature = "top")]
+#[cfg(feature = "whole")]
 mod top;
-#[cfg(feature = "view")]
+#[cfg(feature = "whole")]
 mod view;
 
 const CODES_AND_LOGS: &str = "\
@@ -119,10 +119,10 @@ macro_rules! commands {
 commands! {
     /// The old name of `publish`.
     #[command(hide = true)]
-    [if feature = "publish"]
+    [if feature = "whole"]
     Bridge(publish::Args) bridge;
     /// Print a completion script for a shell.
-    [if feature = "manuals"]
+    [if feature = "whole"]
     Completions(completions::Args) completions::run;
     /// Print every key with its default, or check a file.
     Config(config::Args) config::run;
@@ -133,7 +133,7 @@ commands! {
     /// Play a morning with a person and a robot.
     ///
     /// All parts run on this machine, apart from a running system.
-    [if feature = "demo"]
+    [if feature = "whole"]
     Demo(demo::Args) demo::run;
     /// Check this machine, and a home with --config.
     ///
@@ -145,7 +145,7 @@ commands! {
     /// Show why the scores are as they are.
     ///
     /// Rooms, labels, tokens and items of one moment, with the narration behind them.
-    [if all(feature = "simulation", feature = "recordings")]
+    [if feature = "whole"]
     Explain(explain::Args) explain::run;
     /// Show, teach, forget, export or import habits.
     ///
@@ -154,24 +154,24 @@ commands! {
     /// Make a home's map, rules and configuration.
     ///
     /// It reads Home Assistant and a robot vacuum, and asks for missing values.
-    [if feature = "home"]
+    [if feature = "whole"]
     Init(init::Args) init::run;
     /// Measure the time from an event to a decision.
     ///
     /// The parts run as processes, as in a home.
-    [if feature = "latency"]
+    [if feature = "whole"]
     Latency(latency::Args) latency::run;
     /// The other end of a measurement of `latency`, which starts it. Suggestions for a misspelt `latency` would name it if it began so.
     #[command(hide = true)]
-    [if feature = "latency"]
+    [if feature = "whole"]
     MeasuredEnd(latency::EndArgs) latency::run_end;
     /// Write the manual pages.
-    [if feature = "manuals"]
+    [if feature = "whole"]
     Man(man::Args) man::run;
     /// Serve metrics for Prometheus (a service).
     ///
     /// Only on a loopback address.
-    [if feature = "metrics"]
+    [if feature = "whole"]
     Metrics(metrics::Args) metrics::run;
     /// Inspect, check or download a language model.
     Model(model::Args) model::run;
@@ -188,13 +188,13 @@ commands! {
     /// Publish rooms, persons and decisions over MQTT.
     ///
     /// For Home Assistant and others.
-    [if feature = "publish"]
+    [if feature = "whole"]
     Publish(publish::Args) publish::run;
     /// Record all messages into an MCAP file.
-    [if feature = "recordings"]
+    [if feature = "whole"]
     Record(record::Args) record::run;
     /// Play a recording again, at any speed.
-    [if feature = "recordings"]
+    [if feature = "whole"]
     Replay(replay::Args) replay::run;
     /// Send a robot's report or a person's order.
     ///
@@ -203,7 +203,7 @@ commands! {
     /// Drive a robot vacuum; a dry run until --obey.
     ///
     /// A vacuum with Valetudo, or one that Home Assistant has.
-    [if feature = "robot"]
+    [if feature = "whole"]
     Robot(robot::Args) robot::run;
     /// Import, check, change, show or draw a map.
     Scene(scene::Args) scene::run;
@@ -212,12 +212,12 @@ commands! {
     /// Watch the running system in a terminal.
     ///
     /// Rooms over time, narration, likely objects, decisions, health.
-    [if feature = "top"]
+    [if feature = "whole"]
     Top(top::Args) top::run;
     /// Watch it in a browser, live or recorded.
     ///
     /// The plan, where persons are and will be, and what the robot does.
-    [if feature = "view"]
+    [if feature = "whole"]
     View(view::Args) view::run;
 }
 
@@ -233,7 +233,7 @@ fn moved(Moved { words }: &Moved) -> CommandResult {
     Err(Failure::usage(format!("the experiments are in the program roomcast-lab now: {}", command.join(" "))))
 }
 
-#[cfg(feature = "publish")]
+#[cfg(feature = "whole")]
 fn bridge(args: &publish::Args) -> CommandResult {
     tell("roomcast: `roomcast bridge` is called `roomcast publish` now; the next version has no other name for it");
     publish::run(args)
@@ -244,9 +244,9 @@ impl Command {
     fn only_prints(&self) -> bool {
         match self {
             Self::Config(_) | Self::Doctor(_) | Self::Model(_) | Self::Scene(_) | Self::Score(_) => true,
-            #[cfg(feature = "manuals")]
+            #[cfg(feature = "whole")]
             Self::Completions(_) | Self::Man(_) => true,
-            #[cfg(all(feature = "simulation", feature = "recordings"))]
+            #[cfg(feature = "whole")]
             Self::Explain(_) => true,
             _ => false,
         }

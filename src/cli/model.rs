@@ -9,7 +9,7 @@ use serde_json::json;
 use super::choice::choice;
 use super::scene_files::write;
 use super::{CommandResult, Failure, count, print};
-#[cfg(feature = "pull")]
+#[cfg(feature = "whole")]
 use crate::hub::{self, Hub, HubError, Request};
 use roomcast_cli::model::{elsewhere, rehearse};
 pub(super) use roomcast_cli::model::{load, try_configured};
@@ -63,7 +63,7 @@ enum Command {
         #[arg(long, value_parser = choice::<CacheType>(), default_value_t = CacheType::default())]
         kv_cache: CacheType,
     },
-    #[cfg(feature = "pull")]
+    #[cfg(feature = "whole")]
     /// Download a GGUF file from a model hub into the user's cache; an interrupted download is continued.
     Pull {
         /// The repository on the hub: owner/name.
@@ -98,7 +98,7 @@ pub fn run(args: &Args) -> CommandResult {
             check(file.as_deref(), case.as_deref(), record.as_deref(), *json)
         }
         Command::Rehearse { file, kv_cache } => rehearse(file, *kv_cache),
-        #[cfg(feature = "pull")]
+        #[cfg(feature = "whole")]
         Command::Pull { repository, file, endpoint, sha256, cache, token_file, json } => {
             let token = token_file.as_deref().map(read_token).transpose()?;
             let hub = Hub { endpoint: Some(endpoint.clone()), cache: cache.clone(), token };
@@ -426,7 +426,7 @@ fn compare(case: &KnownCase, sha256: &str, scores: &[f64]) -> Checked {
     Checked::new("known scores", same_file && worst <= case.tolerance_nats, found)
 }
 
-#[cfg(feature = "pull")]
+#[cfg(feature = "whole")]
 fn read_token(path: &Path) -> Result<String, Failure> {
     let fault = |why: String| Failure::input(format!("failed to read the token file {}: {why}", path.display()));
     let token = std::fs::read_to_string(path).map_err(|error| fault(error.to_string()))?.trim().to_owned();
@@ -434,7 +434,7 @@ fn read_token(path: &Path) -> Result<String, Failure> {
     if is_plain { Ok(token) } else { Err(fault("it holds no token on one line".to_owned())) }
 }
 
-#[cfg(feature = "pull")]
+#[cfg(feature = "whole")]
 fn pull(hub: &Hub, request: &Request<'_>, as_json: bool) -> CommandResult {
     // Drawn on standard error, and only on a terminal.
     let style = indicatif::ProgressStyle::with_template("{wide_bar} {decimal_bytes}/{decimal_total_bytes} {eta}");

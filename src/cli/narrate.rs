@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::{CommandResult, Failure, print_json, ranges, service};
-#[cfg(feature = "mqtt")]
+#[cfg(feature = "whole")]
 use super::{broker, narrate_mqtt};
 use roomcast_core::text::count;
 use roomcast_ipc::{Domain, question};
@@ -18,7 +18,7 @@ use roomcast_services::sensor_log::SensorRules;
 use roomcast_services::stop::Stop;
 
 /// Inputs other than a broker. Options that require `--mqtt` conflict with these: clap drops a requirement if another option excludes it.
-#[cfg(feature = "mqtt")]
+#[cfg(feature = "whole")]
 const OTHER_INPUTS: [&str; 4] = ["input", "fifo", "sensors", "speed"];
 
 #[derive(Debug, clap::Args)]
@@ -33,7 +33,7 @@ pub struct Args {
     fifo: Option<PathBuf>,
     /// Publish messages of an MQTT broker's devices: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca; without a value, the broker of
     /// the configuration's section `[mqtt]`. The configuration's login and certificates are only for that one.
-    #[cfg(feature = "mqtt")]
+    #[cfg(feature = "whole")]
     #[arg(long, value_name = "URL", conflicts_with_all = OTHER_INPUTS, num_args = 0..=1)]
     mqtt: Option<Option<String>>,
     /// Publish a sensor log: intervals with sensor, kind and place, as in public smart-home data sets.
@@ -44,11 +44,11 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     rules: Option<PathBuf>,
     /// A file with the broker's user name and password, a line each.
-    #[cfg(feature = "mqtt")]
+    #[cfg(feature = "whole")]
     #[arg(long, value_name = "FILE", requires = "mqtt", conflicts_with_all = OTHER_INPUTS)]
     mqtt_credentials: Option<PathBuf>,
     /// A PEM file with the certificates of the broker's certificate authority.
-    #[cfg(feature = "mqtt")]
+    #[cfg(feature = "whole")]
     #[arg(long, value_name = "FILE", requires = "mqtt", conflicts_with_all = OTHER_INPUTS)]
     mqtt_ca: Option<PathBuf>,
     /// Publish nothing: print how the daemon would understand each event, its person, place and belief. With --mqtt and without --json, print each
@@ -82,9 +82,9 @@ pub fn run(args: &Args) -> CommandResult {
     config.check()?;
     let pace = args.pace.map_or(Pace::Speed(args.speed), Pace::Seconds);
     let person = args.person.clone().unwrap_or_default();
-    #[cfg(feature = "mqtt")]
+    #[cfg(feature = "whole")]
     let is_mqtt = args.mqtt.is_some();
-    #[cfg(not(feature = "mqtt"))]
+    #[cfg(not(feature = "whole"))]
     let is_mqtt = false;
     if args.rules.is_some() && args.sensors.is_none() && !is_mqtt {
         return Err(Failure::usage("--rules are for --mqtt or --sensors; give one of them"));
@@ -92,7 +92,7 @@ pub fn run(args: &Args) -> CommandResult {
     if let Some(fifo) = &args.fifo {
         narrator::make_fifo(fifo).map_err(Failure::input)?;
     }
-    #[cfg(feature = "mqtt")]
+    #[cfg(feature = "whole")]
     if let Some(address) = &args.mqtt {
         let given = broker::Args::of(address.clone(), args.mqtt_credentials.clone(), args.mqtt_ca.clone());
         let broker = given.broker(&config.mqtt, format!("roomcast-{}", config.narrator.name))?;

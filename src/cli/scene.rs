@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use strum::VariantArray;
 
 use super::choice::choice;
-#[cfg(feature = "simulation")]
+#[cfg(feature = "whole")]
 use super::draw;
 use super::scene_files::{in_file, input, load, read, write};
 use super::{CommandResult, Failure, count, print, scene_import, service, table};
@@ -42,7 +42,7 @@ enum Command {
     /// Print a scene's contents, each item's partition with the rule of the assignment, and the unassigned items.
     Show(Show),
     /// Draw a scene from above, with scores as heat, as SVG or PNG.
-    #[cfg(feature = "simulation")]
+    #[cfg(feature = "whole")]
     Draw(draw::Args),
 }
 
@@ -103,7 +103,7 @@ pub fn run(args: &Args) -> CommandResult {
         Command::Change(args) => change(args),
         Command::Apply(args) => apply(args),
         Command::Show(args) => show(args),
-        #[cfg(feature = "simulation")]
+        #[cfg(feature = "whole")]
         Command::Draw(args) => draw::run(args),
     }
 }

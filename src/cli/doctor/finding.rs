@@ -46,7 +46,7 @@ impl Finding {
 pub(super) struct Place<'a> {
     pub(super) config: &'a Path,
     /// How long topics are listened to.
-    #[cfg_attr(not(feature = "mqtt"), expect(dead_code, reason = "nothing is listened to"))]
+    #[cfg_attr(not(feature = "whole"), expect(dead_code, reason = "nothing is listened to"))]
     pub(super) wait: Duration,
 }
 

@@ -14,7 +14,7 @@ use roomcast_services::logging::chain;
 use roomcast_services::participant::{DRIVER, OfRobot, PLANNER};
 
 use super::finding::{Finding, Place, rules_of_no_room, segment_of_no_room, segments_at_odds, some_of};
-#[cfg(feature = "mqtt")]
+#[cfg(feature = "whole")]
 use super::home_mqtt;
 use crate::cli::{count, service};
 
@@ -35,7 +35,7 @@ pub(super) fn checks(
         findings.push(things(config, map, grounding, place));
         findings.extend(rules_of_no_room(config, map, grounding, &place.shown()));
     }
-    #[cfg(feature = "mqtt")]
+    #[cfg(feature = "whole")]
     findings.extend(home_mqtt::checks(config, map, place));
     findings.push(persons(config, place));
     findings.extend(services(config, map.map(|(map, _)| map), domain, place));
@@ -51,7 +51,7 @@ pub(super) fn names(config: &Config, home: Option<(&SemanticMap, &Grounding)>, p
     let segment = home.and_then(segment).map(|(found, remedy)| Finding::wrong("robot", found, remedy));
     let mut findings: Vec<Finding> = segment.into_iter().collect();
     findings.extend(home.into_iter().flat_map(|(map, grounding)| rules_of_no_room(config, map, grounding, &shown)));
-    #[cfg(feature = "mqtt")]
+    #[cfg(feature = "whole")]
     if let Some(path) = config.mqtt.rules.as_deref() {
         findings.extend(home_mqtt::rules(path, home).0);
     }
@@ -156,9 +156,9 @@ fn things(config: &Config, map: &SemanticMap, grounding: &Grounding, place: &Pla
 fn persons(config: &Config, place: &Place<'_>) -> Finding {
     let check = "persons";
     let residents = &config.persons.residents;
-    #[cfg(feature = "mqtt")]
+    #[cfg(feature = "whole")]
     let named = home_mqtt::persons_of_rules(config);
-    #[cfg(not(feature = "mqtt"))]
+    #[cfg(not(feature = "whole"))]
     let named: Vec<String> = Vec::new();
     let is_resident = |name: &str| residents.iter().any(|resident| same_but_for_accents(resident, name));
     let visitors: Vec<&str> = named.iter().map(String::as_str).filter(|name| !is_resident(name)).collect();
