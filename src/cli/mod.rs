@@ -33,6 +33,8 @@ mod doctor;
 mod draw;
 #[cfg(feature = "whole")]
 mod explain;
+#[cfg(feature = "whole")]
+mod flow;
 mod habits;
 mod help;
 mod home_source;
@@ -100,16 +102,16 @@ pub struct Cli {
 }
 
 macro_rules! commands {
-    ($($(#[$about:meta])* $([if $cfg:meta])? $name:ident($args:ty) $run:path;)*) => {
+    ($($(#[$about:meta])* $([$feature:tt])? $name:ident($args:ty) $run:path;)*) => {
         #[derive(Debug, Subcommand)]
         enum Command {
-            $($(#[$about])* $(#[cfg($cfg)])? $name($args),)*
+            $($(#[$about])* $(#[cfg(feature = $feature)])? $name($args),)*
         }
 
         impl Command {
             fn run(&self) -> CommandResult {
                 match self {
-                    $($(#[cfg($cfg)])? Self::$name(args) => $run(args),)*
+                    $($(#[cfg(feature = $feature)])? Self::$name(args) => $run(args),)*
                 }
             }
         }
@@ -119,11 +121,9 @@ macro_rules! commands {
 commands! {
     /// The old name of `publish`.
     #[command(hide = true)]
-    [if feature = "whole"]
-    Bridge(publish::Args) bridge;
+    ["whole"] Bridge(publish::Args) bridge;
     /// Print a completion script for a shell.
-    [if feature = "whole"]
-    Completions(completions::Args) completions::run;
+    ["whole"] Completions(completions::Args) completions::run;
     /// Print every key with its default, or check a file.
     Config(config::Args) config::run;
     /// Forecast where people will be (a service).
@@ -133,8 +133,7 @@ commands! {
     /// Play a morning with a person and a robot.
     ///
     /// All parts run on this machine, apart from a running system.
-    [if feature = "whole"]
-    Demo(demo::Args) demo::run;
+    ["whole"] Demo(demo::Args) demo::run;
     /// Check this machine, and a home with --config.
     ///
     /// Each fault has a remedy. With --config: map, rules, broker, robot and services.
@@ -145,8 +144,7 @@ commands! {
     /// Show why the scores are as they are.
     ///
     /// Rooms, labels, tokens and items of one moment, with the narration behind them.
-    [if feature = "whole"]
-    Explain(explain::Args) explain::run;
+    ["whole"] Explain(explain::Args) explain::run;
     /// Show, teach, forget, export or import habits.
     ///
     /// Habits are what a running daemon has learned about this home.
@@ -154,25 +152,20 @@ commands! {
     /// Make a home's map, rules and configuration.
     ///
     /// It reads Home Assistant and a robot vacuum, and asks for missing values.
-    [if feature = "whole"]
-    Init(init::Args) init::run;
+    ["whole"] Init(init::Args) init::run;
     /// Measure the time from an event to a decision.
     ///
     /// The parts run as processes, as in a home.
-    [if feature = "whole"]
-    Latency(latency::Args) latency::run;
+    ["whole"] Latency(latency::Args) latency::run;
     /// The other end of a measurement of `latency`, which starts it. Suggestions for a misspelt `latency` would name it if it began so.
     #[command(hide = true)]
-    [if feature = "whole"]
-    MeasuredEnd(latency::EndArgs) latency::run_end;
+    ["whole"] MeasuredEnd(latency::EndArgs) latency::run_end;
     /// Write the manual pages.
-    [if feature = "whole"]
-    Man(man::Args) man::run;
+    ["whole"] Man(man::Args) man::run;
     /// Serve metrics for Prometheus (a service).
     ///
     /// Only on a loopback address.
-    [if feature = "whole"]
-    Metrics(metrics::Args) metrics::run;
+    ["whole"] Metrics(metrics::Args) metrics::run;
     /// Inspect, check or download a language model.
     Model(model::Args) model::run;
     /// Report events of people and sensors.
@@ -188,14 +181,11 @@ commands! {
     /// Publish rooms, persons and decisions over MQTT.
     ///
     /// For Home Assistant and others.
-    [if feature = "whole"]
-    Publish(publish::Args) publish::run;
+    ["whole"] Publish(publish::Args) publish::run;
     /// Record all messages into an MCAP file.
-    [if feature = "whole"]
-    Record(record::Args) record::run;
+    ["whole"] Record(record::Args) record::run;
     /// Play a recording again, at any speed.
-    [if feature = "whole"]
-    Replay(replay::Args) replay::run;
+    ["whole"] Replay(replay::Args) replay::run;
     /// Send a robot's report or a person's order.
     ///
     /// Started, finished, failed, blocked, cancelled, docked, position, battery; hold, resume, clean, skip.
@@ -203,8 +193,7 @@ commands! {
     /// Drive a robot vacuum; a dry run until --obey.
     ///
     /// A vacuum with Valetudo, or one that Home Assistant has.
-    [if feature = "whole"]
-    Robot(robot::Args) robot::run;
+    ["whole"] Robot(robot::Args) robot::run;
     /// Import, check, change, show or draw a map.
     Scene(scene::Args) scene::run;
     /// Score rooms and things after some sentences.
@@ -212,13 +201,11 @@ commands! {
     /// Watch the running system in a terminal.
     ///
     /// Rooms over time, narration, likely objects, decisions, health.
-    [if feature = "whole"]
-    Top(top::Args) top::run;
+    ["whole"] Top(top::Args) top::run;
     /// Watch it in a browser, live or recorded.
     ///
     /// The plan, where persons are and will be, and what the robot does.
-    [if feature = "whole"]
-    View(view::Args) view::run;
+    ["whole"] View(view::Args) view::run;
 }
 
 /// The arguments of a command that another program has now.
@@ -245,9 +232,7 @@ impl Command {
         match self {
             Self::Config(_) | Self::Doctor(_) | Self::Model(_) | Self::Scene(_) | Self::Score(_) => true,
             #[cfg(feature = "whole")]
-            Self::Completions(_) | Self::Man(_) => true,
-            #[cfg(feature = "whole")]
-            Self::Explain(_) => true,
+            Self::Completions(_) | Self::Explain(_) | Self::Man(_) => true,
             _ => false,
         }
     }

@@ -5,14 +5,12 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 use roomcast_core::ids::BootNs;
-use roomcast_ipc::raw::{
-    DecisionV1, ForecastV1, IncludedV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
-    RoomScoresV1, score_flags,
-};
-use roomcast_ipc::{IpcError, Node, Subscriber, limits, question};
+use roomcast_ipc::raw::{IncludedV1, score_flags};
+use roomcast_ipc::{Node, limits, question};
 use roomcast_services::clock;
 
 use super::choice::choice;
+use super::flow::Subscribers;
 use super::top::{SILENCE, silence};
 use super::{CommandResult, Failure, count, ranges, service};
 use roomcast_services::logging::Limiter;
@@ -255,7 +253,7 @@ pub fn run(args: &Args) -> CommandResult {
     }
     let (stop, _log, config, domain) = args.service.begin()?;
     let node = domain.open("roomcast-record")?;
-    let ports = Ports::new(&node)?;
+    let ports = Subscribers::open(&node)?;
     let output = |error| match error {
         RecordingError::Exists { .. } => Failure::input(error),
         _ => Failure::failed(error),
@@ -315,64 +313,10 @@ pub fn run(args: &Args) -> CommandResult {
     Ok(())
 }
 
-struct Ports {
-    narration: Subscriber<NarrationV1>,
-    scores: Subscriber<RoomScoresV1>,
-    persons: Subscriber<PersonScoresV1>,
-    forecast: Subscriber<ForecastV1>,
-    forecasts: Subscriber<PersonForecastsV1>,
-    decisions: Subscriber<DecisionV1>,
-    reports: Subscriber<RobotReportV1>,
-}
-
-impl Ports {
-    fn new(node: &Node) -> Result<Self, IpcError> {
-        Ok(Self {
-            // Earlier narration does not belong to this recording: it may be of a person that was forgotten since, and a replay would restore the person.
-            narration: node.subscriber_from_now()?,
-            scores: node.subscriber()?,
-            persons: node.subscriber()?,
-            forecast: node.subscriber()?,
-            forecasts: node.subscriber()?,
-            decisions: node.subscriber()?,
-            reports: node.subscriber()?,
-        })
-    }
-
-    /// New messages in the order of the flow: narration before the scores that contain it.
-    fn news(&self) -> Result<Vec<Recorded>, IpcError> {
-        let mut news = Vec::new();
-        take(&self.narration, &mut news, |message| Recorded::Narration(Box::new(message)))?;
-        take(&self.scores, &mut news, |message| Recorded::RoomScores(Box::new(message)))?;
-        take(&self.persons, &mut news, |message| Recorded::PersonScores(Box::new(message)))?;
-        take(&self.forecast, &mut news, |message| Recorded::Forecast(Box::new(message)))?;
-        take(&self.forecasts, &mut news, |message| Recorded::PersonForecasts(Box::new(message)))?;
-        take(&self.decisions, &mut news, |message| Recorded::Decision(Box::new(message)))?;
-        take(&self.reports, &mut news, |message| Recorded::RobotReport(Box::new(message)))?;
-        Ok(news)
-    }
-
-    fn malformed(&self) -> u64 {
-        let of_scores = self.scores.malformed() + self.persons.malformed();
-        let of_forecasts = self.forecast.malformed() + self.forecasts.malformed();
-        self.narration.malformed() + of_scores + of_forecasts + self.decisions.malformed() + self.reports.malformed()
-    }
-}
-
-fn take<M: Message>(
-    subscriber: &Subscriber<M>,
-    news: &mut Vec<Recorded>,
-    wrap: impl Fn(M) -> Recorded,
-) -> Result<(), IpcError> {
-    while let Some(message) = subscriber.receive()? {
-        news.push(wrap(message));
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use roomcast_ipc::raw::{ForecastV1, PersonForecastsV1};
 
     /// Regression: persons' forecasts were recorded only after events, so idle hours had none for comparison.
     #[test]

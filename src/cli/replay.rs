@@ -3,11 +3,10 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::raw::{
-    DecisionV1, ForecastV1, MAX_SOURCES, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1, RoomScoresV1,
-};
-use roomcast_ipc::{Domain, IpcError, Node, Publisher};
+use roomcast_ipc::raw::{MAX_SOURCES, NarrationV1, RoomScoresV1};
+use roomcast_ipc::{Domain, IpcError};
 
+use super::flow::Publishers;
 use super::{CommandResult, Failure, ranges, record, service};
 use roomcast_services::recording::Recorded;
 use roomcast_services::stop::Stop;
@@ -35,69 +34,6 @@ pub struct Args {
 const PAUSE_MIN: Duration = Duration::from_millis(2);
 /// Period of sending missed messages to late subscribers.
 const TICK: Duration = Duration::from_millis(100);
-
-struct Publishers {
-    narration: Publisher<NarrationV1>,
-    others: Option<Others>,
-}
-
-/// The messages of daemon, planner and robots.
-struct Others {
-    scores: Publisher<RoomScoresV1>,
-    persons: Publisher<PersonScoresV1>,
-    forecast: Publisher<ForecastV1>,
-    person_forecasts: Publisher<PersonForecastsV1>,
-    decisions: Publisher<DecisionV1>,
-    reports: Publisher<RobotReportV1>,
-}
-
-impl Others {
-    fn open(node: &Node) -> Result<Self, IpcError> {
-        Ok(Self {
-            scores: node.publisher()?,
-            persons: node.publisher()?,
-            forecast: node.publisher()?,
-            person_forecasts: node.publisher()?,
-            decisions: node.publisher()?,
-            reports: node.publisher()?,
-        })
-    }
-}
-
-impl Publishers {
-    fn open(node: &Node, all: bool) -> Result<Self, IpcError> {
-        let others = all.then(|| Others::open(node)).transpose()?;
-        Ok(Self { narration: node.publisher()?, others })
-    }
-
-    /// Sends a message if it is among those to be replayed.
-    fn send(&self, message: &Recorded) -> Result<bool, IpcError> {
-        let _receivers = match (message, &self.others) {
-            (Recorded::Narration(message), _) => self.narration.send(message)?,
-            (Recorded::RoomScores(message), Some(others)) => others.scores.send(message)?,
-            (Recorded::PersonScores(message), Some(others)) => others.persons.send(message)?,
-            (Recorded::Forecast(message), Some(others)) => others.forecast.send(message)?,
-            (Recorded::PersonForecasts(message), Some(others)) => others.person_forecasts.send(message)?,
-            (Recorded::Decision(message), Some(others)) => others.decisions.send(message)?,
-            (Recorded::RobotReport(message), Some(others)) => others.reports.send(message)?,
-            _ => return Ok(false),
-        };
-        Ok(true)
-    }
-
-    fn tick(&self) -> Result<(), IpcError> {
-        self.narration.tick()?;
-        if let Some(Others { scores, persons, forecast, person_forecasts, decisions, reports }) = &self.others {
-            scores.tick()?;
-            persons.tick()?;
-            forecast.tick()?;
-            person_forecasts.tick()?;
-            decisions.tick()?;
-            reports.tick()?;
-        }
-        Ok(())
-    }
-}
 
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;

@@ -390,23 +390,19 @@ fn forecasts_json(told: &PersonForecastsV1) -> Value {
         let rooms = told.rooms().zip(&person.probability);
         let rooms = rooms.map(|(id, row)| json!({"id": id, "probability": row.get(..horizons)}));
         let sets = (0..horizons).map_while(|horizon| set_places(told, person, horizon));
+        let learned = LEARNED_SHARE_S.iter().zip(&person.learned_share);
+        let learned = learned.map(|(ahead_s, share)| json!({"horizon_s": ahead_s, "share": share}));
         json!({
             "person": person.person, "name": person.name(), "presence": Presence::of(person.presence).word(),
             "flags": flag_words(person.flags).collect::<Vec<_>>(), "elsewhere": person.elsewhere.get(..horizons),
             "rooms": rooms.collect::<Vec<_>>(),
             "set_coverage": person.set_coverage, "sets": sets.collect::<Vec<_>>(),
-            "observations": person.observations, "learned_share": learned_json(person),
+            "observations": person.observations, "learned_share": learned.collect::<Vec<_>>(),
         })
     };
     json!({
         "horizon_s": told.horizons_s(), "persons": told.persons().iter().map(person).collect::<Vec<_>>(),
     })
-}
-
-/// The learned shares of the forecast, by horizon in seconds.
-fn learned_json(person: &PersonForecastV1) -> Value {
-    let share = |(ahead_s, share): (&f32, &f32)| json!({"horizon_s": ahead_s, "share": share});
-    LEARNED_SHARE_S.iter().zip(&person.learned_share).map(share).collect()
 }
 
 fn narration_json(told: &NarrationV1) -> Value {

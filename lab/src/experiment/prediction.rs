@@ -164,7 +164,8 @@ pub fn load_programs(folder: &Path) -> Result<Vec<NamedProgram>, Failure> {
     for path in files {
         match roomcast_simulation::homer::load_any(&path) {
             Ok(program) => {
-                let activity = plain_title(&program.title);
+                // As manifests write titles.
+                let activity = program.title.to_lowercase().split_whitespace().collect::<Vec<_>>().join(" ");
                 faults.extend(program.notes.iter().map(|note| format!("{}: {note}", path.display())));
                 programs.push(NamedProgram { path, program, activity });
             }
@@ -180,11 +181,6 @@ pub fn load_programs(folder: &Path) -> Result<Vec<NamedProgram>, Failure> {
     }
     report_faults(&faults);
     Ok(programs)
-}
-
-/// A title in the form of manifests and groups of activities.
-pub(crate) fn plain_title(title: &str) -> String {
-    title.split_whitespace().map(str::to_lowercase).collect::<Vec<_>>().join(" ")
 }
 
 #[derive(Debug, Default)]
@@ -575,6 +571,7 @@ mod tests {
     use roomcast_core::scorer::correction::CorrectionChoice;
     use roomcast_core::scorer::table::TableModel;
     use roomcast_core::scorer::{Method, Tokenisation};
+    use roomcast_services::embedded::EmbeddedText;
 
     fn studio() -> (SemanticMap, Grounding) {
         let map = SemanticMap::from_json(include_str!("../../../scenes/studio.json")).unwrap();
@@ -629,7 +626,7 @@ mod tests {
 
     #[test]
     fn the_report_has_every_predictor_and_target_for_each_scene() {
-        let programs = crate::PROGRAMS.map(|(name, text)| NamedProgram {
+        let programs = roomcast_services::embedded::PROGRAMS.map(|EmbeddedText { name, text }| NamedProgram {
             path: name.into(),
             program: Program::parse(text).unwrap(),
             activity: name.into(),

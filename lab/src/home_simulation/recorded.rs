@@ -156,7 +156,7 @@ mod tests {
         let day =
             "### wake\n\n[WALK] <bed> (1) [1]\n370.0\n[WALK] <fridge> (1) [2]\n380.0\n[OPEN] <fridge> (1) [3]\n600.0\n";
         own.add_days(&[Day::parse(day).unwrap()], &map, &grounding);
-        let programs: Vec<Program> = crate::PROGRAMS.iter().map(|(_, text)| Program::parse(text).unwrap()).collect();
+        let programs = roomcast_services::embedded::PROGRAMS.map(|own| Program::parse(own.text).unwrap());
         own.add_programs(&programs, 2, &map, &grounding, 1);
         assert_eq!(own.residents.iter().map(Vec::len).collect::<Vec<_>>(), [1, 2]);
         let kitchen = own.plan.room(RoomUse::Kitchen);

@@ -10,7 +10,7 @@ use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::text::nearest;
 use roomcast_services::config::{Config, RobotKind};
 use roomcast_services::logging::chain;
-use roomcast_services::mqtt::look::{self, LookError, Seen};
+use roomcast_services::mqtt::look::{self, Seen};
 use roomcast_services::mqtt::tally::Counted;
 use roomcast_services::mqtt::{self, Broker, MqttError, Rules};
 use roomcast_services::vacuum::{Dialect, Sensed, Status, by_ids, segment_of};
@@ -65,7 +65,8 @@ pub(super) fn checks(config: &Config, home: Option<(&SemanticMap, &Grounding)>, 
             seen
         }
         Err(error) => {
-            findings.push(unreached(&error, place));
+            let remedy = format!("{} ({})", error.remedy(), place.shown());
+            findings.push(Finding::wrong("broker", chain(&error), remedy));
             return findings;
         }
     };
@@ -215,10 +216,6 @@ fn reached(broker: &Broker, seen: &Seen) -> Finding {
     }
     let login = if broker.credentials.is_some() { ", with a password" } else { "" };
     Finding::good(check, format!("{} is reached{login}", broker.address))
-}
-
-fn unreached(error: &LookError, place: &Place<'_>) -> Finding {
-    Finding::wrong("broker", chain(error), format!("{} ({})", error.remedy(), place.shown()))
 }
 
 fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Place<'_>) -> Vec<Finding> {
