@@ -155,20 +155,20 @@ pub fn run(
     Ok(())
 }
 
-/// The services that the page shows.
-struct Ports {
-    scores: Subscriber<RoomScoresV1>,
-    forecast: Subscriber<ForecastV1>,
-    persons: Subscriber<PersonScoresV1>,
-    forecasts: Subscriber<PersonForecastsV1>,
-    narration: Subscriber<NarrationV1>,
-    decisions: Subscriber<DecisionV1>,
+/// The services that the page and `roomcast top` show.
+pub struct Ports {
+    pub scores: Subscriber<RoomScoresV1>,
+    pub forecast: Subscriber<ForecastV1>,
+    pub persons: Subscriber<PersonScoresV1>,
+    pub forecasts: Subscriber<PersonForecastsV1>,
+    pub narration: Subscriber<NarrationV1>,
+    pub decisions: Subscriber<DecisionV1>,
     /// If this service has no free place, the robot's place is unknown.
-    reports: Option<Subscriber<RobotReportV1>>,
+    pub reports: Option<Subscriber<RobotReportV1>>,
 }
 
 impl Ports {
-    fn new(node: &Node) -> Result<Self, IpcError> {
+    pub fn new(node: &Node) -> Result<Self, IpcError> {
         Ok(Self {
             scores: node.subscriber()?,
             forecast: node.subscriber()?,

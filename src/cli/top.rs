@@ -7,7 +7,7 @@ use crossterm::event::{self, Event, KeyCode, KeyEventKind};
 use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_ipc::raw::{
     DecisionV1, ForecastV1, LEARNED_SHARE_S, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1,
-    PersonV1, RobotReportV1, RoomScoresV1,
+    PersonV1, RoomScoresV1,
 };
 use roomcast_ipc::{
     Action, Domain, IpcError, ItemScoresSubscriber, NarrationKind, Node, Presence, StatusClient, Subscriber, sequence,
@@ -20,6 +20,7 @@ use crate::decided::{Decided, News};
 use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
 use crate::reasons::Reasons;
 use crate::top::{POINT_NS, View, set_places};
+use crate::view;
 use roomcast_services::daemon::flag_words;
 use roomcast_services::stop::Stop;
 
@@ -70,14 +71,7 @@ fn left(count: u64, limit: Option<u64>) -> CommandResult {
 }
 
 struct Drawn {
-    scores: Subscriber<RoomScoresV1>,
-    narration: Subscriber<NarrationV1>,
-    persons: Subscriber<PersonScoresV1>,
-    forecasts: Subscriber<PersonForecastsV1>,
-    forecast: Subscriber<ForecastV1>,
-    decisions: Subscriber<DecisionV1>,
-    /// Without a free place in this service, the robot's place is unknown.
-    reports: Option<Subscriber<RobotReportV1>>,
+    ports: view::Ports,
     items: ItemScoresSubscriber,
     status: StatusClient,
     reasons: Reasons,
@@ -92,13 +86,7 @@ impl Drawn {
     fn new(domain: &Domain) -> Result<Self, IpcError> {
         let node = domain.open("roomcast-top")?;
         Ok(Self {
-            scores: node.subscriber()?,
-            narration: node.subscriber()?,
-            persons: node.subscriber()?,
-            forecasts: node.subscriber()?,
-            forecast: node.subscriber()?,
-            decisions: node.subscriber()?,
-            reports: node.subscriber().ok(),
+            ports: view::Ports::new(&node)?,
             items: node.item_scores_subscriber()?,
             status: node.status_client()?,
             reasons: Reasons::new(&node)?,
@@ -111,25 +99,25 @@ impl Drawn {
 
     /// Passes all news on to the view. Returns whether scores came.
     fn take(&mut self, view: &mut View) -> Result<bool, IpcError> {
-        let now_ns = clock::monotonic_ns();
+        let (now_ns, ports) = (clock::monotonic_ns(), &self.ports);
         let mut has_scores = false;
-        while let Some(message) = self.narration.receive()? {
+        while let Some(message) = ports.narration.receive()? {
             view.narration(&message);
         }
-        while let Some(message) = self.scores.receive()? {
+        while let Some(message) = ports.scores.receive()? {
             view.scores(&message);
             has_scores = true;
             let name = Some((message.epoch, message.sequence));
             self.count += u64::from(self.taken != name);
             self.taken = name;
         }
-        if let Some(message) = self.forecasts.newest()? {
+        if let Some(message) = ports.forecasts.newest()? {
             view.forecasts(&message);
         }
-        if let Some(message) = self.forecast.newest()? {
+        if let Some(message) = ports.forecast.newest()? {
             view.forecast_flags(message.flags);
         }
-        if let Some(message) = self.persons.newest()? {
+        if let Some(message) = ports.persons.newest()? {
             if let Some(reasons) = self.reasons.refresh(message.persons().iter().map(|person| person.person)) {
                 view.reasons(reasons);
             }
@@ -138,13 +126,13 @@ impl Drawn {
         if let Some(message) = self.items.newest()? {
             view.items(&message);
         }
-        while let Some(report) = self.reports.as_ref().map(Subscriber::receive).transpose()?.flatten() {
+        while let Some(report) = ports.reports.as_ref().map(Subscriber::receive).transpose()?.flatten() {
             view.report(&report);
         }
-        while let Some(message) = self.decisions.receive()? {
+        while let Some(message) = ports.decisions.receive()? {
             view.decision(&message);
         }
-        view.malformed(self.narration.malformed() + self.scores.malformed() + self.decisions.malformed());
+        view.malformed(ports.narration.malformed() + ports.scores.malformed() + ports.decisions.malformed());
         if now_ns.since(self.status_ns) >= STATUS_NS {
             // A busy or absent daemon does not block the view: its last answer stays.
             if let Ok(answer) = self.status.ask(STATUS_TIMEOUT) {
