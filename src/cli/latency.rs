@@ -9,7 +9,7 @@ use hdrhistogram::Histogram;
 use indicatif::{ProgressBar, ProgressStyle};
 use roomcast_ipc::Node;
 use roomcast_ipc::raw::{DecisionV1, RoomScoresV1};
-use serde::Serialize;
+use serde_json::json;
 
 use super::stage::Stage;
 use super::{CommandResult, Failure, print_json, ranges, service};
@@ -34,11 +34,11 @@ pub struct Args {
     #[arg(long, value_name = "MS", default_value_t = 5, value_parser = ranges::any())]
     pause: u64,
     /// Which scorer: the model, none (every word is as likely), or both in turn.
-    #[arg(long, value_enum, default_value_t = Scorer::Both)]
-    scorer: Scorer,
+    #[arg(long, value_parser = ["model", "none", "both"], default_value = "both")]
+    scorer: String,
     /// With the machine idle, with one spinning thread per core, or both in turn.
-    #[arg(long, value_enum, default_value_t = Load::Both)]
-    load: Load,
+    #[arg(long, value_parser = ["idle", "busy", "both"], default_value = "both")]
+    load: String,
     /// Microseconds that daemon and planner stay awake after a message (`ipc.spin_us`).
     #[arg(long, value_name = "US", default_value_t = 0, value_parser = ranges::whole(0..=SPIN_US_MAX))]
     spin: u64,
@@ -68,20 +68,6 @@ pub struct EndArgs {
     service: service::Args,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Scorer {
-    Model,
-    None,
-    Both,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Load {
-    Idle,
-    Busy,
-    Both,
-}
-
 /// A bar in a terminal. Elsewhere a line from time to time, since a measurement with long pauses takes minutes.
 struct Progress {
     bar: ProgressBar,
@@ -108,11 +94,6 @@ impl Progress {
     }
 }
 
-#[derive(Serialize)]
-struct Report {
-    rows: Vec<Row>,
-}
-
 impl From<LatencyError> for Failure {
     fn from(error: LatencyError) -> Self {
         match error {
@@ -125,21 +106,15 @@ impl From<LatencyError> for Failure {
 pub fn run(args: &Args) -> CommandResult {
     let sentences = sentences(args.sentences.as_deref())?;
     let stop = service::stop()?;
-    let scorers: &[&str] = match args.scorer {
-        Scorer::Model => &["model"],
-        Scorer::None => &["none"],
-        Scorer::Both => &["none", "model"],
+    let wanted = |asked: &str, of: [&'static str; 2]| -> Vec<&'static str> {
+        of.into_iter().filter(|one| asked == "both" || asked == *one).collect()
     };
-    let loads: &[&str] = match args.load {
-        Load::Idle => &["idle"],
-        Load::Busy => &["busy"],
-        Load::Both => &["idle", "busy"],
-    };
+    let (scorers, loads) = (wanted(&args.scorer, ["none", "model"]), wanted(&args.load, ["idle", "busy"]));
     let runs = (scorers.len() * loads.len()) as u64;
     let progress = Progress::new(runs * 2 * (args.samples + args.warm_up()));
     let mut rows = Vec::new();
     for scorer in scorers {
-        for load in loads {
+        for load in &loads {
             let measured = measure(args, (scorer, load), &sentences, &stop, &progress);
             if stop.requested() {
                 return Err(Failure::interrupted("interrupted; everything is cleaned up"));
@@ -149,7 +124,7 @@ pub fn run(args: &Args) -> CommandResult {
     }
     progress.bar.finish_and_clear();
     if args.json {
-        return print_json(&Report { rows });
+        return print_json(&json!({ "rows": rows }));
     }
     print(&rows)
 }
@@ -304,7 +279,7 @@ fn print(rows: &[Row]) -> CommandResult {
     let mut table = roomcast_cli::table_of(
         rows,
         &[
-            ("path", &|row| serde_json::json!(row.path).as_str().unwrap_or_default().to_owned()),
+            ("path", &|row| json!(row.path).as_str().unwrap_or_default().to_owned()),
             ("scorer", &|row| row.scorer.to_owned()),
             ("load", &|row| row.load.to_owned()),
             ("n", &|row| row.n.to_string()),
