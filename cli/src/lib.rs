@@ -140,6 +140,25 @@ impl From<StudyError> for Failure {
 /// The result of a subcommand.
 pub type CommandResult = Result<(), Failure>;
 
+/// Lists commands, each with its arguments and its function, as an enumeration with a function that runs them. A command may need a feature.
+#[macro_export]
+macro_rules! commands {
+    ($command:ident; $($(#[$about:meta])* $([$feature:tt])? $name:ident($args:ty) $run:path;)*) => {
+        #[derive(Debug, clap::Subcommand)]
+        enum $command {
+            $($(#[$about])* $(#[cfg(feature = $feature)])? $name($args),)*
+        }
+
+        impl $command {
+            fn run(&self) -> $crate::CommandResult {
+                match self {
+                    $($(#[cfg(feature = $feature)])? Self::$name(args) => $run(args),)*
+                }
+            }
+        }
+    };
+}
+
 /// An empty table in the style of all commands. In a terminal it keeps to the terminal's width.
 #[must_use]
 pub fn table(header: &[&str]) -> comfy_table::Table {

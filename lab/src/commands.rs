@@ -48,42 +48,45 @@ pub struct Args {
     experiment: Experiment,
 }
 
-#[derive(Debug, Subcommand)]
-enum Experiment {
+roomcast_cli::commands! {
+    Experiment;
     /// How well the next object and room are forecast, next to baselines on the same cases.
-    Forecast(ForecastArgs),
+    Forecast(ForecastArgs) run_forecast;
     /// Every table of the model card, in Markdown.
-    Card(card::CardArgs),
+    Card(card::CardArgs) card::run;
     /// How much weight scores deserve after unknown words, and which texts are flagged.
-    Familiarity(familiarity::FamiliarityArgs),
+    Familiarity(familiarity::FamiliarityArgs) familiarity::run;
     /// The forecast over folds: every activity by a model that was trained without it.
-    Folds(folds::FoldsArgs),
+    Folds(folds::FoldsArgs) folds::run_folds;
     /// The forecast on the sealed split, once: the result is recorded before it is shown.
-    Sealed(folds::SealedArgs),
+    Sealed(folds::SealedArgs) folds::run_sealed;
     /// The paper's Table I: disturbance by prompt.
-    Table1(study::Table1Args),
+    Table1(study::Table1Args) study::run_table1;
     /// The paper's Table II: disturbance, time of coverage and failure by policy.
-    Table2(study::Table2Args),
+    Table2(study::Table2Args) study::run_table2;
     /// What the scores depend on: models, prompts, tokenisation, correction, windows.
-    Ablation(study::AblationArgs),
+    Ablation(study::AblationArgs) study::run_ablation;
     /// Disturbance against coverage for every policy and weight, with the clairvoyant bound.
-    Pareto(study::ParetoArgs),
+    Pareto(study::ParetoArgs) study::run_pareto;
     /// How well the forecast names the person's room, by horizon.
-    Horizon(study::StudyArgs),
+    Horizon(study::StudyArgs) study::run_horizon;
     /// How well a home is learned, day by day: every forecast comes before its lesson.
-    Habits(habits::HabitsArgs),
+    Habits(habits::HabitsArgs) habits::run;
     /// How often the next sentence is among the prefetched ones.
-    Guesses(guesses::GuessesArgs),
+    Guesses(guesses::GuessesArgs) guesses::run;
     /// How well the tracker finds each person, in simulated homes with sensors.
-    Persons(persons::PersonsArgs),
+    Persons(persons::PersonsArgs) persons::run;
     /// What people ask of a robot at home: days of households, by each way to control it.
-    Wishes(wishes::WishesArgs),
+    Wishes(wishes::WishesArgs) wishes::run;
     /// Try a model file, for another process of this program that loads it afterwards.
     #[command(hide = true)]
-    Model {
-        #[command(subcommand)]
-        rehearse: Rehearse,
-    },
+    Model(Trial) rehearse;
+}
+
+#[derive(Debug, clap::Args)]
+struct Trial {
+    #[command(subcommand)]
+    rehearse: Rehearse,
 }
 
 #[derive(Debug, Subcommand)]
@@ -263,29 +266,13 @@ fn commands() -> clap::Command {
 /// Parses the command line, runs the experiment and returns the exit code.
 pub fn main() -> ExitCode {
     match Args::from_arg_matches(&commands().get_matches()) {
-        Ok(args) => ended("roomcast", run(&args)),
+        Ok(args) => ended("roomcast", args.experiment.run()),
         Err(error) => error.format(&mut commands()).exit(),
     }
 }
 
-fn run(args: &Args) -> CommandResult {
-    match &args.experiment {
-        Experiment::Forecast(args) => run_forecast(args),
-        Experiment::Card(args) => card::run(args),
-        Experiment::Familiarity(args) => familiarity::run(args),
-        Experiment::Folds(args) => folds::run_folds(args),
-        Experiment::Sealed(args) => folds::run_sealed(args),
-        Experiment::Table1(args) => study::run_table1(args),
-        Experiment::Table2(args) => study::run_table2(args),
-        Experiment::Ablation(args) => study::run_ablation(args),
-        Experiment::Pareto(args) => study::run_pareto(args),
-        Experiment::Horizon(args) => study::run_horizon(args),
-        Experiment::Habits(args) => habits::run(args),
-        Experiment::Guesses(args) => guesses::run(args),
-        Experiment::Persons(args) => persons::run(args),
-        Experiment::Wishes(args) => wishes::run(args),
-        Experiment::Model { rehearse: Rehearse::Rehearse { file, kv_cache } } => model::rehearse(file, *kv_cache),
-    }
+fn rehearse(Trial { rehearse: Rehearse::Rehearse { file, kv_cache } }: &Trial) -> CommandResult {
+    model::rehearse(file, *kv_cache)
 }
 
 fn run_forecast(args: &ForecastArgs) -> CommandResult {

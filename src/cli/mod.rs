@@ -4,10 +4,10 @@
 
 use std::process::ExitCode;
 
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser};
 
 use roomcast_cli::{
-    CommandResult, Failure, choice, count, ended, print, print_json, print_json_line, print_styled, ranges,
+    CommandResult, Failure, choice, commands, count, ended, print, print_json, print_json_line, print_styled, ranges,
 };
 use roomcast_cli::{table, tell};
 
@@ -101,24 +101,8 @@ pub struct Cli {
     command: Command,
 }
 
-macro_rules! commands {
-    ($($(#[$about:meta])* $([$feature:tt])? $name:ident($args:ty) $run:path;)*) => {
-        #[derive(Debug, Subcommand)]
-        enum Command {
-            $($(#[$about])* $(#[cfg(feature = $feature)])? $name($args),)*
-        }
-
-        impl Command {
-            fn run(&self) -> CommandResult {
-                match self {
-                    $($(#[cfg(feature = $feature)])? Self::$name(args) => $run(args),)*
-                }
-            }
-        }
-    };
-}
-
 commands! {
+    Command;
     /// The old name of `publish`.
     #[command(hide = true)]
     ["whole"] Bridge(publish::Args) bridge;

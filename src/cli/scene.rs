@@ -4,7 +4,6 @@ use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use clap::Subcommand;
 use comfy_table::CellAlignment;
 use roomcast_ipc::question;
 use serde_json::{Value, json};
@@ -29,21 +28,20 @@ pub struct Args {
     command: Command,
 }
 
-#[derive(Debug, Subcommand)]
-enum Command {
+roomcast_cli::commands! {
+    Command;
     /// Turn a map of another format into a scene.
-    Import(scene_import::Args),
+    Import(scene_import::Args) scene_import::run;
     /// Check scenes: the format, and whether every item is in a room and every room can be reached.
-    Check(Check),
+    Check(Check) check;
     /// Apply changes to a scene file: items added, moved, removed; rooms added, removed.
-    Change(Change),
+    Change(Change) change;
     /// Apply changes to the map of a running daemon, without a restart.
-    Apply(Apply),
+    Apply(Apply) apply;
     /// Print a scene's contents, each item's partition with the rule of the assignment, and the unassigned items.
-    Show(Show),
+    Show(Show) show;
     /// Draw a scene from above, with scores as heat, as SVG or PNG.
-    #[cfg(feature = "whole")]
-    Draw(draw::Args),
+    ["whole"] Draw(draw::Args) draw::run;
 }
 
 #[derive(Debug, clap::Args)]
@@ -97,15 +95,7 @@ struct Show {
 }
 
 pub fn run(args: &Args) -> CommandResult {
-    match &args.command {
-        Command::Import(args) => scene_import::run(args),
-        Command::Check(args) => check(args),
-        Command::Change(args) => change(args),
-        Command::Apply(args) => apply(args),
-        Command::Show(args) => show(args),
-        #[cfg(feature = "whole")]
-        Command::Draw(args) => draw::run(args),
-    }
+    args.command.run()
 }
 
 fn change(args: &Change) -> CommandResult {

@@ -158,7 +158,7 @@ pub(super) fn run(args: &CardArgs) -> CommandResult {
     let commands = tables.iter().map(parsed).collect::<Result<Vec<_>, _>>()?;
     for ((title, command), parsed) in tables.iter().zip(&commands) {
         print(&format!("### {title}\n\n    roomcast-lab {} --markdown\n\n", command.join(" ")))?;
-        super::run(parsed)?;
+        parsed.experiment.run()?;
         print("\n")?;
     }
     Ok(())
