@@ -44,7 +44,7 @@ pub(super) struct Stage {
 }
 
 impl Stage {
-    /// An empty stage with a domain of its own.
+    /// An empty stage and its domain.
     pub(super) fn new(name: &str) -> Result<Self, Failure> {
         let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp");
         let folder = folder.map_err(|error| Failure::failed(format!("cannot use /tmp: {error}")))?;
