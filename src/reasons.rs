@@ -118,6 +118,7 @@ mod tests {
             visited,
             visited_by_two,
             is_joint: true,
+            is_followed: true,
             noisy,
         };
         let expected = "hall 62 %: motion hall-pir on, in the last minute, could be Jon or Mira: weak for";

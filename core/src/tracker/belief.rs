@@ -110,6 +110,13 @@ impl Likelihood {
         self.slots.resize(columns * slots, ONES);
     }
 
+    /// Per phase: the likelihood, at most 1, of a state without one of its persons, relative to the state.
+    pub(super) fn without(&self, state: &State<'_>, slot: usize, column: Column) -> Phases {
+        let several = column.checked_sub(1).is_some_and(|room| state.rooms().1 >> room & 1 == 1);
+        let [own, room] = [&self.slots[slot * self.rooms.len()..], &self.rooms].map(|list| list[usize::from(column)]);
+        times(&own, if several { &ONES } else { &room }).map(|with| with.max(1.0).recip())
+    }
+
     fn join(&mut self) {
         self.alone.clear();
         let both = |(slot, room)| times(slot, room).map(|own| own.clamp(1.0 / MOST, MOST));

@@ -408,6 +408,19 @@ impl Tracker {
         }
     }
 
+    /// The likelihood of what the sensors show now.
+    fn fill_states(&mut self) {
+        self.likelihood.clear(1 + self.home.rooms(), self.belief.slots());
+        for sensor in &self.sensors {
+            let robot =
+                sensor.sees_robots() && sensor.spec.room.is_some_and(|room| self.now_s < self.robot_until_s[room]);
+            let (Some(on), false) = (sensor.evidence(self.now_s), robot || sensor.spec.kind == SensorKind::Door) else {
+                continue;
+            };
+            sensor.weigh(sensor.shows(on), &mut self.likelihood);
+        }
+    }
+
     fn learn_time(&mut self, seconds: f64) {
         for number in 0..self.sensors.len() {
             let Some(on) = self.sensors[number].evidence(self.now_s) else { continue };

@@ -54,6 +54,8 @@ pub enum Observation<'a> {
         /// Who; if unknown, a visitor.
         who: Option<usize>,
     },
+    /// Nobody is in the house.
+    AllAway,
     /// A room has no persons.
     Empty {
         /// Which.
@@ -146,21 +148,21 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
             relocate(own, |_| Some(slot), LEFT, |column| if column == 0 { 1.0 } else { 0.0 });
             weigh_person(own, slot, |column| if column == 0 { trust } else { 1.0 - trust });
         }
+        Observation::AllAway => {
+            // In this order, unknown persons who are out now take no other slot.
+            for slot in (0..own.belief.slots()).rev() {
+                let is_in = |state: &State<'_>| state.slots().nth(slot).is_some_and(|(column, _)| column > 0);
+                relocate(own, |state| is_in(state).then_some(slot), LEFT, |column| if column == 0 { 1.0 } else { 0.0 });
+                weigh_person(own, slot, |column| if column == 0 { trust } else { 1.0 - trust });
+            }
+        }
         Observation::Away { who: None } => departure(own, trust, false),
         Observation::Gone { who: None } => departure(own, trust, true),
         Observation::Empty { room } => {
             let is_free = |state: State<'_>| state.rooms().0 >> room & 1 == 0;
             has(room).then(|| own.belief.weigh_states(|state| if is_free(state) { trust } else { 1.0 - trust }))?;
         }
-        Observation::Count { room, persons } => {
-            if !has(room) {
-                return None;
-            }
-            own.belief.weigh_states(|state| {
-                let here = state.slots().filter(|(column, _)| room_at(*column) == Some(room)).count();
-                trust * (1.0 - trust).powi(persons.saturating_sub(here).min(4) as i32)
-            });
-        }
+        Observation::Count { room, persons } => has(room).then(|| count(own, room, persons, trust))?,
         Observation::Robot { rooms: list } => {
             for (room, until_s) in own.robot_until_s.iter_mut().enumerate() {
                 if list.contains(&room) {
@@ -226,6 +228,37 @@ fn visitor(state: &State<'_>, unknown: usize, column: Column) -> Option<usize> {
     state.slots().take(unknown).position(|(own, _)| own == column)
 }
 
+/// So many persons are in a room. The filter may have lost some of them, but hardly those whom a sensor holds elsewhere.
+fn count(own: &mut Tracker, room: usize, persons: usize, trust: f64) {
+    let (column, unknown, least) = (1 + room as Column, own.unknown(), lightest(own));
+    let missing = |state: &State<'_>| persons.saturating_sub(state.slots().filter(|(at, _)| *at == column).count());
+    own.fill_states();
+    let Tracker { belief, likelihood, .. } = own;
+    for _ in 0..persons {
+        belief.transfer(|state, flows| {
+            if state.weight < least || missing(&state) == 0 {
+                return flows.keep(1.0);
+            }
+            let mut moves = [0.0; SLOTS_MAX];
+            for (slot, (at, phases)) in state.slots().enumerate().filter(|(_, (at, _))| *at != column) {
+                moves[slot] = match at {
+                    0 if slot >= unknown || visitor(&state, unknown, 0) == Some(slot) => CAME_IN,
+                    0 => 0.0,
+                    _ => mean(phases, &likelihood.without(&state, slot, at)),
+                };
+            }
+            let all: f64 = moves.iter().sum();
+            let lost = LOST_PRESENT / all.max(1.0);
+            flows.keep(1.0 - lost * all);
+            for (slot, share) in moves.into_iter().enumerate().filter(|(_, share)| *share > 0.0) {
+                let third = (lost * share / 3.0) as f32;
+                flows.put(slot, column, [third, third, third, 0.0]);
+            }
+        });
+    }
+    belief.weigh_states(|state| trust * (1.0 - trust).powi(missing(&state).min(4) as i32));
+}
+
 /// An action: the likelihood of its text where the person is. Of an unknown person, where the most probable person is. `placed` is how surely the
 /// text places a person that the filter lost.
 fn action(own: &mut Tracker, who: Option<usize>, list: &[f64], placed: f64, trust: f64) -> Option<()> {
@@ -280,9 +313,9 @@ fn mean(phases: &Phases, of: &Phases) -> f64 {
     phases.iter().zip(of).map(|(share, own)| f64::from(share * own)).sum()
 }
 
-/// An unknown person leaves: each person near the door, or a visitor that no sensor saw.
-fn departure(own: &mut Tracker, trust: f64, only_unknown: bool) {
-    let slots = if only_unknown { own.unknown() } else { own.belief.slots() };
+/// An unknown person leaves: each person near the door, or a visitor that no sensor saw. For good: one of the visitors, wherever they are.
+fn departure(own: &mut Tracker, trust: f64, for_good: bool) {
+    let slots = if for_good { own.unknown() } else { own.belief.slots() };
     let mut departs_at = [[[0.0; 4]; ROOMS_MAX + 1]; SLOTS_MAX];
     for (slot, weights) in departs_at.iter_mut().enumerate().take(slots) {
         let columns = weights.iter_mut().take(own.home.rooms() + 1).enumerate();
@@ -290,8 +323,10 @@ fn departure(own: &mut Tracker, trust: f64, only_unknown: bool) {
     }
     own.belief.transfer(|state, flows| {
         flows.keep(1.0 - trust + trust * UNSEEN);
-        for (slot, (column, phases)) in state.slots().enumerate().take(slots) {
-            let weight = mean(phases, &departs_at[slot][usize::from(column)]);
+        let visitors = state.slots().take(slots).filter(|(column, _)| *column > 0).count();
+        for (slot, (column, phases)) in state.slots().enumerate().take(slots).filter(|(_, (column, _))| *column > 0) {
+            let near = || mean(phases, &departs_at[slot][usize::from(column)]);
+            let weight = if for_good { 1.0 / visitors as f64 } else { near() };
             flows.put(slot, 0, [(trust * weight) as f32, 0.0, 0.0, 0.0]);
         }
     });
@@ -343,9 +378,7 @@ fn sensor_reports(own: &mut Tracker, number: usize, on: Option<bool>) -> Option<
             let robot = sensor.spec.room.is_some_and(|room| now_s < own.robot_until_s[room]);
             let classes = match was {
                 Some(was) => sensor.flips(was && !again, robot),
-                None => {
-                    std::array::from_fn(|class| sensor.is_on(class)).map(|share| if on { share } else { 1.0 - share })
-                }
+                None => sensor.shows(on),
             };
             own.likelihood.clear(1 + own.home.rooms(), slots);
             sensor.weigh(classes, &mut own.likelihood);
@@ -487,7 +520,7 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
             }
         },
         Observation::Count { room, .. } => spread(&|_, column| is_in(column, room)),
-        Observation::Empty { .. } | Observation::Robot { .. } => {}
+        Observation::AllAway | Observation::Empty { .. } | Observation::Robot { .. } => {}
     }
     shares
 }

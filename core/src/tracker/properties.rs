@@ -46,6 +46,7 @@ fn play(tracker: &mut Tracker, now_s: &mut f64, (seconds, kind, who, room, on): 
         1 => Observation::Present { who, room: on.then_some(room) },
         2 => Observation::Away { who },
         3 => Observation::Gone { who },
+        4 if who.is_none() && !on => Observation::AllAway,
         4 => Observation::Empty { room },
         5 => Observation::Count { room, persons: 1 + usize::from(on) },
         6 => Observation::Robot { rooms: &robot },

@@ -212,10 +212,13 @@ impl Sensor {
         rates
     }
 
-    /// Share of the time for which it is on, by class: the likelihood of its first report.
-    pub(super) fn is_on(&self, class: usize) -> f64 {
-        let [up, down] = [0, 1].map(|state| self.rates[state][class].per_s());
-        (up / (up + down)).clamp(1e-4, 1.0 - 1e-4)
+    /// Share of the time for which it shows a state, by class.
+    pub(super) fn shows(&self, on: bool) -> [f64; CLASSES] {
+        std::array::from_fn(|class| {
+            let [up, down] = [0, 1].map(|state| self.rates[state][class].per_s());
+            let is_on = (up / (up + down)).clamp(1e-4, 1.0 - 1e-4);
+            if on { is_on } else { 1.0 - is_on }
+        })
     }
 
     /// The state that counts as evidence at a time.

@@ -322,6 +322,34 @@ fn two_persons_in_one_room_are_both_there_when_a_camera_counts_two() {
 }
 
 #[test]
+fn a_count_moves_the_person_whom_no_sensor_holds() {
+    let mut play = Play::new();
+    play.put(MIRA, BEDROOM).on(S::BedMira).put(JON, HALL).after(600.0);
+    play.see(Observation::Count { room: KITCHEN, persons: 2 }, 0.99);
+    play.expect(play.p(MIRA, BEDROOM) > 0.9 && play.p(JON, KITCHEN) > 0.9);
+    let mut play = Play::new();
+    play.put(MIRA, LIVING).on(S::PresenceLiving).put(JON, OFFICE).on(S::PresenceOffice).after(600.0);
+    play.see(Observation::Count { room: KITCHEN, persons: 2 }, 0.99);
+    play.expect(play.p(MIRA, LIVING) > 0.8 && play.p(JON, OFFICE) > 0.8);
+    play.see(Observation::Sensor { sensor: S::PresenceLiving as usize, on: None }, 1.0);
+    play.see(Observation::Sensor { sensor: S::PresenceOffice as usize, on: None }, 1.0);
+    play.see(Observation::Count { room: KITCHEN, persons: 2 }, 0.99);
+    play.expect(play.p(MIRA, KITCHEN) > 0.7 && play.p(JON, KITCHEN) > 0.7);
+}
+
+#[test]
+fn nobody_is_home_once_said_counts_for_residents_and_visitors() {
+    let mut play = Play::new();
+    play.put(MIRA, LIVING).on(S::PresenceLiving).put(JON, OFFICE).on(S::PresenceOffice).after(900.0);
+    play.on(S::FrontDoor).after(2.0).on(S::MotionHall).after(10.0).off(S::FrontDoor).after(2.0);
+    play.on(S::MotionKitchen).after(3.0).on(S::MotionBath).after(50.0).off(S::MotionHall);
+    play.expect(play.tracker.visitors(2) > 0.8);
+    play.see(Observation::AllAway, 0.99);
+    play.expect(play.out(MIRA) > 0.9 && play.out(JON) > 0.9 && play.tracker.house_empty() > 0.8);
+    play.expect(play.tracker.visitors(1) < 0.1);
+}
+
+#[test]
 fn an_empty_room_has_no_person() {
     let mut play = Play::new();
     play.put(MIRA, KITCHEN).put(JON, OFFICE).on(S::PresenceOffice).after(900.0);
@@ -350,8 +378,9 @@ fn a_visitor_who_comes_in_is_counted_and_no_resident_is_moved() {
     play.put(MIRA, LIVING).on(S::PresenceLiving).put(JON, OFFICE).on(S::PresenceOffice).after(900.0);
     play.on(S::FrontDoor).after(2.0).on(S::MotionHall).after(10.0).off(S::FrontDoor).on(S::MotionKitchen).after(20.0);
     play.expect(play.tracker.visitors(1) > 0.5 && play.p(MIRA, LIVING) > 0.9 && play.p(JON, OFFICE) > 0.9);
-    play.after(60.0).see(Observation::Gone { who: None }, 0.95);
-    play.expect(play.p(MIRA, LIVING) > 0.9 && play.p(JON, OFFICE) > 0.9);
+    let were_two = play.after(60.0).tracker.visitors(2);
+    play.see(Observation::Gone { who: None }, 0.95);
+    play.expect(play.tracker.visitors(1) < were_two + 0.1 && play.p(MIRA, LIVING) > 0.9 && play.p(JON, OFFICE) > 0.9);
 }
 
 #[test]

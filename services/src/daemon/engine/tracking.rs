@@ -385,16 +385,7 @@ impl Tracking {
             Event::Present(_) => Observation::Present { who, room: said.room },
             Event::Away => Observation::Away { who },
             Event::Gone => Observation::Gone { who },
-            Event::AllAway => {
-                for index in 0..self.persons.len() {
-                    self.tracker.observe(at_s, &Observation::Away { who: Some(index) }, trust);
-                }
-                // Visitors left, too.
-                for room in 0..self.tracker.home().rooms() {
-                    self.tracker.observe(at_s, &Observation::Empty { room }, trust);
-                }
-                return true;
-            }
+            Event::AllAway => Observation::AllAway,
             Event::Empty(_) => match said.room {
                 Some(room) => Observation::Empty { room },
                 None => return false,
@@ -405,17 +396,8 @@ impl Tracking {
             self.tracker.observe(at_s, &Observation::Lies { who }, trust);
         }
         if let (2.., Some(room)) = (said.count, said.room) {
-            let is_in = |person: &usize| self.tracker.probability(*person, None) < 0.5;
-            let present: Vec<usize> = (0..self.persons.len()).filter(is_in).collect();
-            let persons = usize::from(said.count);
-            if present.len() <= persons && self.tracker.visitors(1) < 0.5 {
-                // All of them are there.
-                for who in present.iter().copied() {
-                    self.tracker.observe(at_s, &Observation::Present { who: Some(who), room: Some(room) }, trust);
-                }
-            }
             // At most all of them, and visitors.
-            let persons = persons.min(VISITORS + self.persons.len());
+            let persons = usize::from(said.count).min(VISITORS + self.persons.len());
             self.tracker.observe(at_s, &Observation::Count { room, persons }, trust);
         }
         true

@@ -52,6 +52,7 @@ impl<M: LanguageModel> Engine<M> {
             visited: filter.map_or(0.0, |own| own.visitors(1)),
             visited_by_two: filter.map_or(0.0, |own| own.visitors(2)),
             is_joint: tracking.is_some(),
+            is_followed: tracking.is_some_and(|own| own.follows(person)),
             noisy: tracking.map(|own| own.noisy().map(noisy).collect()).unwrap_or_default(),
         }
     }
