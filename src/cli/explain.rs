@@ -201,7 +201,10 @@ fn told(found: &Whereabouts) -> String {
         let [one, two] = [found.visited, found.visited_by_two].map(|own| 100.0 * own);
         let _ = writeln!(text, "unknown persons in the house: one or more {one:.0} %, two or more {two:.0} %");
         if !found.is_followed {
-            let _ = writeln!(text, "The filter follows the first 14 persons, and not {name}: forget persons who moved out.");
+            let _ = writeln!(
+                text,
+                "The filter does not follow {name}: it follows 14 persons, and if named narrators report, only their persons."
+            );
         }
     } else {
         text.push_str("No sensor reported yet, and no event of two possible persons: each event has one person.\n");

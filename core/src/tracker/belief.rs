@@ -110,11 +110,22 @@ impl Likelihood {
         self.slots.resize(columns * slots, ONES);
     }
 
-    /// Per phase: the likelihood, at most 1, of a state without one of its persons, relative to the state.
-    pub(super) fn without(&self, state: &State<'_>, slot: usize, column: Column) -> Phases {
-        let several = column.checked_sub(1).is_some_and(|room| state.rooms().1 >> room & 1 == 1);
-        let [own, room] = [&self.slots[slot * self.rooms.len()..], &self.rooms].map(|list| list[usize::from(column)]);
-        times(&own, if several { &ONES } else { &room }).map(|with| with.max(1.0).recip())
+    /// Per phase of a person: the likelihood of the state if the person were in the column `to` instead, relative to the state, and at most 1.
+    pub(super) fn of_move(
+        &self,
+        state: &State<'_>,
+        slot: usize,
+        (from, to): (Column, Column),
+        phases: &Phases,
+    ) -> Phases {
+        let (any, several) = state.rooms();
+        let is_in = |rooms: u64, column: Column| column.checked_sub(1).is_some_and(|room| rooms >> room & 1 == 1);
+        let of = |column: Column, counts: bool| {
+            let own = &self.slots[slot * self.rooms.len() + usize::from(column)];
+            times(own, if counts { &self.rooms[usize::from(column)] } else { &ONES })
+        };
+        let there = sum(&times(&of(to, !is_in(any, to)), phases));
+        of(from, !is_in(several, from)).map(|here| (there / here.max(f32::MIN_POSITIVE)).min(1.0))
     }
 
     fn join(&mut self) {

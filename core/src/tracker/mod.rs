@@ -417,7 +417,12 @@ impl Tracker {
             let (Some(on), false) = (sensor.evidence(self.now_s), robot || sensor.spec.kind == SensorKind::Door) else {
                 continue;
             };
-            sensor.weigh(sensor.shows(on), &mut self.likelihood);
+            let mut shown = sensor.shows(on);
+            if on {
+                // Its person may have left within the last hour.
+                shown[EMPTY] = shown[EMPTY].max((sensor.hold_s() / 3_600.0).min(1.0));
+            }
+            sensor.weigh(shown, &mut self.likelihood);
         }
     }
 

@@ -151,10 +151,9 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
         Observation::AllAway => {
             // In this order, unknown persons who are out now take no other slot.
             for slot in (0..own.belief.slots()).rev() {
-                let is_in = |state: &State<'_>| state.slots().nth(slot).is_some_and(|(column, _)| column > 0);
-                relocate(own, |state| is_in(state).then_some(slot), LEFT, |column| if column == 0 { 1.0 } else { 0.0 });
-                weigh_person(own, slot, |column| if column == 0 { trust } else { 1.0 - trust });
+                recall(own, 0, LEFT, |_, other, _| f64::from(u8::from(other == slot)));
             }
+            own.belief.weigh_states(|state| if state.rooms().0 == 0 { trust } else { 1.0 - trust });
         }
         Observation::Away { who: None } => departure(own, trust, false),
         Observation::Gone { who: None } => departure(own, trust, true),
@@ -213,12 +212,7 @@ fn relocate(own: &mut Tracker, who: impl Fn(&State<'_>) -> Option<usize>, lost: 
         let Some(slot) = who(&state).filter(|_| state.weight >= least) else { return flows.keep(1.0) };
         flows.keep(1.0 - lost);
         for column in (0..columns).filter(|column| weight(*column) > 0.0) {
-            let phases = if column == 0 {
-                [1.0 - FORGETS, FORGETS, 0.0, 0.0]
-            } else {
-                [1.0, 1.0, 1.0, 0.0].map(|own| own / 3.0)
-            };
-            flows.put(slot, column, phases.map(|own| (own * lost * weight(column) / total) as f32));
+            flows.put(slot, column, arrived(column).map(|own| own * (lost * weight(column) / total) as f32));
         }
     });
 }
@@ -228,35 +222,48 @@ fn visitor(state: &State<'_>, unknown: usize, column: Column) -> Option<usize> {
     state.slots().take(unknown).position(|(own, _)| own == column)
 }
 
-/// So many persons are in a room. The filter may have lost some of them, but hardly those whom a sensor holds elsewhere.
-fn count(own: &mut Tracker, room: usize, persons: usize, trust: f64) {
-    let (column, unknown, least) = (1 + room as Column, own.unknown(), lightest(own));
-    let missing = |state: &State<'_>| persons.saturating_sub(state.slots().filter(|(at, _)| *at == column).count());
+/// The filter may have lost persons, who are in this column: with the probability `lost` times a weight of at most 1, and the less probably the more
+/// the sensors speak against it. A state moves one person.
+fn recall(own: &mut Tracker, to: Column, lost: f64, weight: impl Fn(&State<'_>, usize, Column) -> f64) {
+    let least = lightest(own);
     own.fill_states();
     let Tracker { belief, likelihood, .. } = own;
-    for _ in 0..persons {
-        belief.transfer(|state, flows| {
-            if state.weight < least || missing(&state) == 0 {
-                return flows.keep(1.0);
+    belief.transfer(|state, flows| {
+        let mut moves = [0.0; SLOTS_MAX];
+        for (slot, (from, phases)) in state.slots().enumerate().filter(|(_, (from, _))| *from != to) {
+            let weight = if state.weight < least { 0.0 } else { weight(&state, slot, from) };
+            if weight > 0.0 {
+                moves[slot] = weight * mean(phases, &likelihood.of_move(&state, slot, (from, to), &arrived(to)));
             }
-            let mut moves = [0.0; SLOTS_MAX];
-            for (slot, (at, phases)) in state.slots().enumerate().filter(|(_, (at, _))| *at != column) {
-                moves[slot] = match at {
-                    0 if slot >= unknown || visitor(&state, unknown, 0) == Some(slot) => CAME_IN,
-                    0 => 0.0,
-                    _ => mean(phases, &likelihood.without(&state, slot, at)),
-                };
-            }
-            let all: f64 = moves.iter().sum();
-            let lost = LOST_PRESENT / all.max(1.0);
-            flows.keep(1.0 - lost * all);
-            for (slot, share) in moves.into_iter().enumerate().filter(|(_, share)| *share > 0.0) {
-                let third = (lost * share / 3.0) as f32;
-                flows.put(slot, column, [third, third, third, 0.0]);
-            }
+        }
+        let all: f64 = moves.iter().sum();
+        let lost = lost / all.max(1.0);
+        flows.keep(1.0 - lost * all);
+        for (slot, share) in moves.into_iter().enumerate().filter(|(_, share)| *share > 0.0) {
+            flows.put(slot, to, arrived(to).map(|own| own * (lost * share) as f32));
+        }
+    });
+}
+
+/// The phases of a person who is placed in a column.
+fn arrived(column: Column) -> Phases {
+    if column == 0 { [1.0 - FORGETS as f32, FORGETS as f32, 0.0, 0.0] } else { [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0, 0.0] }
+}
+
+/// So many persons are in a room.
+fn count(own: &mut Tracker, room: usize, persons: usize, trust: f64) {
+    let (column, unknown) = (1 + room as Column, own.unknown());
+    let persons = persons.min(own.belief.slots());
+    for person in 1..=persons {
+        let has = |state: &State<'_>| state.slots().filter(|(at, _)| *at == column).count() >= person;
+        recall(own, column, LOST_PRESENT, |state, slot, from| match from {
+            _ if has(state) => 0.0,
+            0 if slot >= unknown || visitor(state, unknown, 0) == Some(slot) => CAME_IN,
+            0 => 0.0,
+            _ => 1.0,
         });
+        own.belief.weigh_states(|state| if has(&state) { trust } else { 1.0 - trust });
     }
-    belief.weigh_states(|state| trust * (1.0 - trust).powi(missing(&state).min(4) as i32));
 }
 
 /// An action: the likelihood of its text where the person is. Of an unknown person, where the most probable person is. `placed` is how surely the

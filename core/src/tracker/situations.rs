@@ -322,31 +322,35 @@ fn two_persons_in_one_room_are_both_there_when_a_camera_counts_two() {
 }
 
 #[test]
-fn a_count_moves_the_person_whom_no_sensor_holds() {
+fn a_count_moves_persons_whom_no_sensor_holds() {
+    let count = Observation::Count { room: KITCHEN, persons: 2 };
+    // Phones are at home with their persons.
     let mut play = Play::new();
-    play.put(MIRA, BEDROOM).on(S::BedMira).put(JON, HALL).after(600.0);
-    play.see(Observation::Count { room: KITCHEN, persons: 2 }, 0.99);
-    play.expect(play.p(MIRA, BEDROOM) > 0.9 && play.p(JON, KITCHEN) > 0.9);
+    play.put(MIRA, HALL).put(JON, BATH).see(count, 0.99);
+    play.expect(play.p(MIRA, KITCHEN) > 0.9 && play.p(JON, KITCHEN) > 0.9 && play.tracker.visitors(1) < 0.05);
     let mut play = Play::new();
-    play.put(MIRA, LIVING).on(S::PresenceLiving).put(JON, OFFICE).on(S::PresenceOffice).after(600.0);
-    play.see(Observation::Count { room: KITCHEN, persons: 2 }, 0.99);
-    play.expect(play.p(MIRA, LIVING) > 0.8 && play.p(JON, OFFICE) > 0.8);
-    play.see(Observation::Sensor { sensor: S::PresenceLiving as usize, on: None }, 1.0);
-    play.see(Observation::Sensor { sensor: S::PresenceOffice as usize, on: None }, 1.0);
-    play.see(Observation::Count { room: KITCHEN, persons: 2 }, 0.99);
-    play.expect(play.p(MIRA, KITCHEN) > 0.7 && play.p(JON, KITCHEN) > 0.7);
+    play.put(MIRA, BEDROOM).on(S::BedMira).put(JON, HALL).after(60.0).see(count, 0.99);
+    play.expect(play.p(MIRA, BEDROOM) > 0.8 && play.p(JON, KITCHEN) > 0.8);
+    let mut play = Play::both_in_bed();
+    play.see(count, 0.99);
+    play.expect(play.p(MIRA, BEDROOM) > 0.8 && play.p(JON, BEDROOM) > 0.8 && play.tracker.visitors(1) < 0.2);
+    play.after(20.0).see(count, 0.99).after(30.0);
+    play.expect(play.p(MIRA, BEDROOM) > 0.9 && play.p(JON, BEDROOM) > 0.9 && play.tracker.visitors(1) < 0.5);
 }
 
 #[test]
-fn nobody_is_home_once_said_counts_for_residents_and_visitors() {
+fn nobody_is_home_counts_for_residents_and_visitors_unless_sensors_hold_them() {
     let mut play = Play::new();
-    play.put(MIRA, LIVING).on(S::PresenceLiving).put(JON, OFFICE).on(S::PresenceOffice).after(900.0);
+    play.put(MIRA, LIVING).put(JON, OFFICE).off(S::PhoneJon).off(S::PhoneMira).after(900.0);
     play.on(S::FrontDoor).after(2.0).on(S::MotionHall).after(10.0).off(S::FrontDoor).after(2.0);
     play.on(S::MotionKitchen).after(3.0).on(S::MotionBath).after(50.0).off(S::MotionHall);
-    play.expect(play.tracker.visitors(2) > 0.8);
+    play.after(30.0).off(S::MotionKitchen).off(S::MotionBath).after(30.0);
+    play.expect(play.tracker.visitors(1) > 0.5);
     play.see(Observation::AllAway, 0.99);
-    play.expect(play.out(MIRA) > 0.9 && play.out(JON) > 0.9 && play.tracker.house_empty() > 0.8);
-    play.expect(play.tracker.visitors(1) < 0.1);
+    play.expect(play.tracker.house_empty() > 0.9 && play.tracker.visitors(1) < 0.1);
+    let mut play = Play::both_in_bed();
+    play.see(Observation::AllAway, 0.99);
+    play.expect(play.out(MIRA) < 0.1 && play.out(JON) < 0.1 && play.tracker.house_empty() < 0.1);
 }
 
 #[test]

@@ -373,14 +373,14 @@ impl<M: LanguageModel> Engine<M> {
         self.home.lose(person);
     }
 
-    /// Whether time alone changes the scores: a window ends, a visitor is gone, or the filter believes that a person left.
+    /// Whether time alone changes the scores: a window ends, a visitor is gone, or the filter believes that a person left or came.
     #[must_use]
     pub fn is_overdue(&self, now_ns: BootNs) -> bool {
         let now_ns = i64::try_from(now_ns.0).unwrap_or(i64::MAX);
         let persons = &self.attribution.persons;
         persons.expired(now_ns).is_some()
             || self.scoring.silent(persons, now_ns).is_some()
-            || self.belief.departed(persons).is_some()
+            || self.belief.crossed(persons).is_some()
     }
 
     fn lapse(&mut self, now_ns: BootNs) {
@@ -397,15 +397,14 @@ impl<M: LanguageModel> Engine<M> {
             self.drop_person(person);
             self.records.note_gone(person);
         }
-        while let Some(person) = self.belief.departed(&self.attribution.persons) {
+        while let Some((person, event)) = self.belief.crossed(&self.attribution.persons) {
             // A restart needs no record of it: the filter repeats it.
             let last = self.attribution.persons.get(person).map_or(EventId::new(0, 0, 0), |known| known.last);
             let observed_ns = BootNs(u64::try_from(now_ns).unwrap_or_default());
-            let away =
-                Observation { person, by_fit: true, observed_ns, ..Observation::saying(last.sequence, Event::Away) };
-            let away = Observation { source: last.source, epoch: last.epoch, ..away };
+            let own = Observation { person, by_fit: true, observed_ns, ..Observation::saying(last.sequence, event) };
+            let own = Observation { source: last.source, epoch: last.epoch, ..own };
             if let Ok(own) =
-                self.take(away, Quota::EARLIER, (self.attribution.reporter(last.source, true), true), Some(now_ns))
+                self.take(own, Quota::EARLIER, (self.attribution.reporter(last.source, true), true), Some(now_ns))
             {
                 self.scoring.pipeline.intake().enter(Quota::EARLIER, own);
             }

@@ -117,7 +117,8 @@ pub struct Whereabouts {
     pub visited_by_two: f64,
     /// The joint filter runs. It starts with the first sensor, or with the first unnamed event that two persons can have caused.
     pub is_joint: bool,
-    /// The filter follows this person. It follows 14 persons, in the order in which they came.
+    /// The filter follows this person.
+    #[serde(default)]
     pub is_followed: bool,
     /// Sensors that turn on without a person much more often than their kind.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -64,6 +64,8 @@ pub(super) enum Reason {
     Outdated,
     #[strum(serialize = "several persons can have caused it: the belief about each of them changed a little")]
     Unclear,
+    #[strum(serialize = "sensors hold each person in the house: the belief about each of them changed a little")]
+    Held,
     #[strum(serialize = "the map lacks the room of this sensor")]
     UnknownRoom,
     #[strum(serialize = "there are too many persons for this sensor")]
@@ -254,10 +256,4 @@ pub(super) fn is_off(event: &Event) -> bool {
     const OFF: [&str; 6] = ["off", "closed", "locked", "done", "finished", "idle"];
     let device = event.sentence().and_then(|sentence| device_state(sentence.as_str()));
     device.is_some_and(|(_, state)| OFF.contains(&state))
-}
-
-/// The room with the largest share; `None` if all share alike.
-pub(super) fn likeliest(shares: &[f64]) -> Option<usize> {
-    let most = (0..shares.len()).max_by(|a, b| shares[*a].total_cmp(&shares[*b]))?;
-    shares.iter().any(|other| *other < shares[most]).then_some(most)
 }

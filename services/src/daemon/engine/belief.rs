@@ -205,12 +205,17 @@ impl Belief {
         self.tell_robots(BootNs(at_ns.try_into().unwrap_or_default()));
     }
 
-    /// The next person in the house that the filter believes to be out.
-    pub(super) fn departed(&self, persons: &Persons) -> Option<PersonId> {
+    /// The next person who is present and whom the filter believes to be out, or away and believed to be in, with the event that says so.
+    pub(super) fn crossed(&self, persons: &Persons) -> Option<(PersonId, Event)> {
         const OUT: f64 = 0.95;
-        let is_present = |person: &PersonId| persons.get(*person).is_some_and(|own| own.presence == Presence::Present);
         let tracking = self.tracking.as_deref()?;
-        tracking.persons().iter().copied().find(|person| is_present(person) && tracking.out_now(*person) > OUT)
+        tracking.persons().iter().find_map(|person| {
+            match (persons.get(*person)?.presence, tracking.out_now(*person)?) {
+                (Presence::Present, out) if out > OUT => Some((*person, Event::Away)),
+                (Presence::Away, out) if out < 1.0 - OUT => Some((*person, Event::Present(None))),
+                _ => None,
+            }
+        })
     }
 
     pub(super) fn tell_robots(&mut self, now_ns: BootNs) {

@@ -4,7 +4,7 @@ use super::super::journal::Move;
 use super::super::person_question::{By, UnderstoodLine};
 use super::super::persons::LATE_NS;
 use super::super::sleep::{is_bed, sleeps};
-use super::attribution::{HALF, Reason, Reporter, Understood, Weighed, Who, is_keyed, is_off, likeliest};
+use super::attribution::{HALF, Reason, Reporter, Understood, Weighed, Who, is_keyed, is_off};
 use super::belief::Seen;
 use super::records::Attributed;
 use super::tracking::Said;
@@ -13,6 +13,9 @@ use roomcast_core::ids::PersonId;
 use roomcast_core::narration::{Event, Observation, Presence, Quota, SensorKind};
 use roomcast_core::scorer::LanguageModel;
 use smallvec::SmallVec;
+
+/// A text names one room if its things have more than this share there.
+const ONLY: f64 = 0.9;
 
 impl<M: LanguageModel> Engine<M> {
     /// Takes in an event and gives the part of each person to `enter`. Gives whether the event reads the same in any company, and otherwise its
@@ -89,7 +92,7 @@ impl<M: LanguageModel> Engine<M> {
         let is_unclear = parts.is_empty() && !is_sensor && is_weighed;
         parts.into_iter().for_each(|own| take(self, own));
         if is_unclear {
-            understood.reason = Some(Reason::Unclear);
+            understood.reason = Some(if who == Who::House { Reason::Held } else { Reason::Unclear });
         } else if let (Weighed::Refused(reason), true) = (weighed, is_unnamed) {
             understood.reason = Some(reason);
         }
@@ -112,12 +115,12 @@ impl<M: LanguageModel> Engine<M> {
             Who::Named(person, name) => vec![Observation { person: *person, name: Some(name.clone()), ..own }],
             Who::House => {
                 let away = Observation { event: Event::Away, ..own };
-                self.attribution
-                    .persons
-                    .everybody()
-                    .into_iter()
-                    .map(|person| Observation { person, ..away.clone() })
-                    .collect()
+                // Not those whom sensors hold.
+                let tracking = self.belief.tracking.as_deref();
+                let is_in =
+                    |person| tracking.is_some_and(|own| own.follows(person) && own.probability(person, None) < 0.5);
+                let persons = self.attribution.persons.everybody().into_iter().filter(|person| !is_in(*person));
+                persons.map(|person| Observation { person, ..away.clone() }).collect()
             }
             Who::Unknown(_) if own.by_fit => vec![own],
             Who::Unknown(count) => {
@@ -235,7 +238,11 @@ impl<M: LanguageModel> Engine<M> {
             (0..grounding.partitions().len()).map(fits).collect::<Vec<f64>>()
         });
         let room = match &own.event {
-            Event::Did(_) => row.as_deref().and_then(likeliest),
+            Event::Did(_) => {
+                let row = row.as_deref().unwrap_or_default();
+                let all: f64 = row.iter().sum();
+                row.iter().position(|share| *share > ONLY * all)
+            }
             event => event.room().and_then(|room| self.map.room(room, grounding)),
         };
         let text = own.event.sentence().map_or("", |text| text.as_str());
@@ -243,11 +250,16 @@ impl<M: LanguageModel> Engine<M> {
             mention.is_some_and(|found| !found.is_left && is_bed(&grounding.scored_labels()[found.label].text));
         let is_lying = sleeps(text).unwrap_or(is_on_bed);
         let rooms = row.as_deref().or(reading.as_deref()).unwrap_or_default();
+        // Without a list of residents, nothing limits the number of persons.
+        let persons = self.attribution.persons.unnamed(reporter.is_unknown);
+        let is_more = count > 1 && !self.attribution.persons.has_residents();
+        let counted: Vec<PersonId> = persons.take(if is_more { count.into() } else { 0 }).collect();
         let said = Said {
             event: &own.event,
             source: own.source,
             who: who_is,
             count,
+            counted: &counted,
             rooms,
             is_named: row.is_some(),
             room,
@@ -257,12 +269,6 @@ impl<M: LanguageModel> Engine<M> {
         };
         let home = (&self.map.map, grounding);
         let Some(tracking) = &mut self.belief.tracking else { return Weighed::NotNeeded };
-        if count > 1 && !self.attribution.persons.has_residents() {
-            // Nothing limits the number of persons.
-            for person in self.attribution.persons.unnamed(reporter.is_unknown).take(count.into()) {
-                tracking.index_of(person);
-            }
-        }
         let is_taken = tracking.weigh(home, said, (at_ns, self.belief.local_ahead_s));
         if tracking.is_stale() {
             // A device or its person changed; the filter starts again with its newest report.
@@ -345,7 +351,10 @@ impl<M: LanguageModel> Engine<M> {
         };
         let place = room.and_then(|room| self.map.room(room.as_str(), grounding));
         let counted = tracking.room().filter(|_| count > 1);
-        let is_counted = |person: PersonId| counted.is_some() && tracking.probability(person, counted) > 0.5;
+        let is_counted = |person: PersonId| {
+            let leaves = count > 1 && matches!(own.event, Event::Away | Event::Gone);
+            (leaves || counted.is_some()) && tracking.probability(person, counted) > 0.5
+        };
         let part = |person: &PersonId| {
             let person = *person;
             let out = tracking.probability(person, None);

@@ -11,7 +11,7 @@ use roomcast_core::grounding::Grounding;
 use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_core::tracker::{self, Home, Movement, Observation, Options, SensorSpec, Tracker, VISITORS};
+use roomcast_core::tracker::{self, Home, Movement, Observation, Options, SensorSpec, Tracker};
 
 use super::super::persons::LATE_NS;
 use super::attribution::Reason;
@@ -154,11 +154,13 @@ pub(super) struct Said<'a> {
     pub(super) who: Option<PersonId>,
     /// The number of unknown persons.
     pub(super) count: u8,
+    /// The persons that this number adds, if it may.
+    pub(super) counted: &'a [PersonId],
     /// Per room the likelihood of an action's text; empty if it is unknown.
     pub(super) rooms: &'a [f64],
     /// The text names the place; otherwise the likelihood is the language model's.
     pub(super) is_named: bool,
-    /// The room that a presence names, or a text most probably means.
+    /// The room that the event names, and no other one.
     pub(super) room: Option<usize>,
     /// The person lies down, or sleeps.
     pub(super) is_lying: bool,
@@ -356,6 +358,13 @@ impl Tracking {
         if let Some(person) = said.who.filter(|_| !matches!(said.event, Event::Sensor(_))) {
             self.admit(person);
         }
+        for person in said.counted {
+            if self.at(*person).is_none()
+                && let Some(who) = self.index_of(*person)
+            {
+                self.tracker.observe(at_s, &Observation::Present { who: Some(who), room: None }, TRUST);
+            }
+        }
         let who = match said.who {
             Some(person) => match self.index_of(person) {
                 Some(index) => Some(index),
@@ -391,14 +400,19 @@ impl Tracking {
                 None => return false,
             },
         };
-        self.tracker.observe(at_s, &observation, trust);
+        match (said.count, said.room) {
+            // The text names the room once: it is no second observation.
+            (2.., Some(room)) => {
+                let persons = said.count.into();
+                self.tracker.observe(at_s, &Observation::Count { room, persons }, trust);
+            }
+            (2.., None) if !matches!(said.event, Event::Did(_)) => {
+                (0..said.count).for_each(|_| self.tracker.observe(at_s, &observation, trust));
+            }
+            _ => self.tracker.observe(at_s, &observation, trust),
+        }
         if let Some(who) = who.filter(|_| said.is_lying) {
             self.tracker.observe(at_s, &Observation::Lies { who }, trust);
-        }
-        if let (2.., Some(room)) = (said.count, said.room) {
-            // At most all of them, and visitors.
-            let persons = usize::from(said.count).min(VISITORS + self.persons.len());
-            self.tracker.observe(at_s, &Observation::Count { room, persons }, trust);
         }
         true
     }
@@ -487,8 +501,8 @@ impl Tracking {
     }
 
     /// The probability that a person was out of the house at the last look.
-    pub(super) fn out_now(&self, person: PersonId) -> f64 {
-        self.at(person).filter(|_| self.looked_ns.is_some()).map_or(0.0, |index| self.now.probability(index, None))
+    pub(super) fn out_now(&self, person: PersonId) -> Option<f64> {
+        self.at(person).filter(|_| self.looked_ns.is_some()).map(|index| self.now.probability(index, None))
     }
 
     fn at(&self, person: PersonId) -> Option<usize> {
