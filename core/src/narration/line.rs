@@ -249,8 +249,14 @@ impl Line {
             return reason("an empty room or house has no person; leave \"person\" out");
         }
         let count = json.count.as_ref().map_or(Ok(0), count_of)?;
-        if count > 1 && (own.is_some() || !has_person) {
+        if count > 1 && !has_person {
+            return reason("an empty room or house has no person; leave \"count\" out");
+        }
+        if count > 1 && own.is_some() {
             return reason("\"count\" counts unknown persons; leave \"person\" out, or \"count\"");
+        }
+        if own.is_none() && matches!(&event, Event::Sensor(report) if report.kind == super::SensorKind::Phone) {
+            return reason("\"phone\" is the phone of a person; give \"person\"");
         }
         let person = match own {
             Some(own) => {

@@ -297,6 +297,12 @@ impl Belief {
         State { columns: columns_of(self.keys[at], self.apart), weight: self.weights[at], phases }
     }
 
+    /// The probability that a person is in the house.
+    pub(super) fn inside(&self, slot: usize) -> f64 {
+        let is_in = |key: &Key| key.to_le_bytes()[slot] > if self.apart { 1 } else { 0 };
+        self.keys.iter().zip(&self.weights).filter(|(key, _)| is_in(key)).map(|(_, weight)| weight).sum()
+    }
+
     /// A further person, with shares of columns and phases. Returns the slot.
     pub(super) fn add(&mut self, prior: &[(Column, Phases)]) -> Result<usize, TrackerError> {
         if self.slots == SLOTS_MAX {

@@ -402,7 +402,7 @@ impl Tracker {
                 continue;
             };
             let robot = sensor.spec.room.is_some_and(|room| self.now_s < self.robot_until_s[room]);
-            let flips = sensor.silence(on, robot);
+            let flips = sensor.silence(on, robot, |slot| self.belief.inside(slot));
             let silent = flips.map(|flip| ((flips[EMPTY] - flip) * seconds).clamp(-30.0, 30.0).exp());
             sensor.weigh(silent, &mut self.likelihood);
         }
@@ -478,7 +478,7 @@ impl Tracker {
     /// Times that go backwards count as now. Persons, rooms and sensors that do not exist are ignored.
     pub fn observe(&mut self, at_s: f64, observation: &Observation<'_>, trust: f64) {
         self.advance(at_s);
-        self.trace.begin();
+        self.trace.attribute([0.0; SLOTS]);
         self.earlier.clone_from(&self.marginals);
         let trust = if trust.is_finite() { trust.clamp(0.05, 0.999) } else { 0.5 };
         let Some(cause) = observe::weigh(self, observation, trust) else { return };
@@ -487,9 +487,16 @@ impl Tracker {
         self.trace.record(self.now_s, cause, shares, (&self.earlier, &self.marginals));
     }
 
+    /// An observation that repeats the last one of its kind says nothing new: its attribution is read off, and the belief stays.
+    pub fn repeat(&mut self, at_s: f64, observation: &Observation<'_>) {
+        self.advance(at_s);
+        self.earlier.clone_from(&self.marginals);
+        self.trace.attribute(observe::attribute(self, observation));
+    }
+
     /// Sets a sensor's state by a report of a time long before the belief's: it holds from now on, but its flip says nothing about the present.
     pub fn set_late(&mut self, sensor: usize, on: Option<bool>) {
-        self.trace.begin();
+        self.trace.attribute([0.0; SLOTS]);
         if let Some(own) = self.sensors.get_mut(sensor) {
             // A device without "off" has turned off since then.
             own.on = on.map(|on| on && own.spec.holds);

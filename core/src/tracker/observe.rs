@@ -89,14 +89,12 @@ const LEAST_SHARE: f64 = 0.01;
 const ROBOT_S: f64 = 30.0;
 /// A robot without a further report explains nothing after this time, in seconds.
 pub const ROBOT_SILENT_S: f64 = 3_600.0;
-/// Chance that a held phone or bed is wrong about its person at the moment of an anonymous departure.
-const HELD_WRONG: f64 = 0.003;
 /// Weight of a departure by an unseen visitor, next to a person at the door with weight 1.
 const UNSEEN: f64 = 0.03;
 /// Each door between a person and the way out makes a departure less probable by this factor.
 const PER_DOOR: f64 = 0.4;
 /// Weights of a departure of persons who walk, sit, and lie.
-const WALKS: [f64; 4] = [1.0, 0.3, 0.05, 0.0];
+const WALKS: Phases = [1.0, 0.3, 0.05, 0.0];
 /// Weight of "present" without an arrival, next to each person that can have come home.
 const NO_ARRIVAL: f64 = 0.3;
 /// Likelihood of "lies" for a person who sits or walks.
@@ -301,39 +299,29 @@ fn action(own: &mut Tracker, who: Option<usize>, list: &[f64], placed: f64, trus
     Some(())
 }
 
-/// How probable it is that a person in this column walks out of the house now, by phase.
-fn departs(own: &Tracker, slot: usize, column: Column) -> Phases {
-    let doors = room_at(column).map_or(usize::MAX, |room| own.home.steps_out(room));
-    if doors == usize::MAX {
-        return [0.0; 4];
-    }
-    let is_held = |sensor: &Sensor| {
-        let binds = matches!(sensor.spec.kind, SensorKind::Phone | SensorKind::Bed) && sensor.slot == Some(slot);
-        binds && sensor.evidence(own.now_s) == Some(true)
-    };
-    let held = if own.sensors.iter().any(is_held) { HELD_WRONG } else { 1.0 };
-    WALKS.map(|walks| (held * walks * PER_DOOR.powi(doors.min(8) as i32)) as f32)
-}
-
 /// The expectation of a value of the phases.
 fn mean(phases: &Phases, of: &Phases) -> f64 {
     phases.iter().zip(of).map(|(share, own)| f64::from(share * own)).sum()
 }
 
-/// An unknown person leaves: each person near the door, or a visitor that no sensor saw. For good: one of the visitors, wherever they are.
+/// An unknown person leaves: each person near the door whom no sensor holds, or a visitor that no sensor saw. For good: one of the visitors, wherever
+/// they are.
 fn departure(own: &mut Tracker, trust: f64, for_good: bool) {
     let slots = if for_good { own.unknown() } else { own.belief.slots() };
-    let mut departs_at = [[[0.0; 4]; ROOMS_MAX + 1]; SLOTS_MAX];
-    for (slot, weights) in departs_at.iter_mut().enumerate().take(slots) {
-        let columns = weights.iter_mut().take(own.home.rooms() + 1).enumerate();
-        columns.for_each(|(column, weight)| *weight = departs(own, slot, column as Column));
-    }
-    own.belief.transfer(|state, flows| {
+    own.fill_states();
+    let Tracker { belief, likelihood, home, .. } = own;
+    belief.transfer(|state, flows| {
         flows.keep(1.0 - trust + trust * UNSEEN);
         let visitors = state.slots().take(slots).filter(|(column, _)| *column > 0).count();
-        for (slot, (column, phases)) in state.slots().enumerate().take(slots).filter(|(_, (column, _))| *column > 0) {
-            let near = || mean(phases, &departs_at[slot][usize::from(column)]);
-            let weight = if for_good { 1.0 / visitors as f64 } else { near() };
+        for (slot, (column, phases)) in state.slots().enumerate().take(slots) {
+            let Some(room) = room_at(column) else { continue };
+            let weight = if for_good {
+                1.0 / visitors as f64
+            } else {
+                let held = likelihood.of_move(&state, slot, (column, 0), &arrived(0));
+                let near: Phases = std::array::from_fn(|phase| held[phase] * WALKS[phase]);
+                mean(phases, &near) * PER_DOOR.powi(home.steps_out(room).min(8) as i32)
+            };
             flows.put(slot, 0, [(trust * weight) as f32, 0.0, 0.0, 0.0]);
         }
     });
@@ -396,8 +384,10 @@ fn sensor_reports(own: &mut Tracker, number: usize, on: Option<bool>) -> Option<
     if let (true, Some(was)) = (own.options.learns, before) {
         learn_flip(own, number, was && !again);
     }
+    let inside = own.sensors[number].slot.map_or(0.0, |slot| own.belief.inside(slot));
     let sensor = &mut own.sensors[number];
     (sensor.on, sensor.since_s) = (Some(on), now_s);
+    sensor.note_phone(on, inside);
     Some(cause)
 }
 

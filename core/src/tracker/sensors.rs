@@ -137,6 +137,11 @@ fn stale_s(kind: SensorKind, on: bool) -> f64 {
     }
 }
 
+/// A phone that is lost at home stays lost with this probability.
+const DEAD: f64 = 0.5;
+/// A smaller probability of a dead phone counts as none.
+const LEAST_DEAD: f64 = 0.01;
+
 /// A sensor with its state and its learned rates.
 #[derive(Debug, Clone)]
 pub(super) struct Sensor {
@@ -146,6 +151,8 @@ pub(super) struct Sensor {
     /// `None` before its first report and while it is unavailable.
     pub(super) on: Option<bool>,
     pub(super) since_s: f64,
+    /// The probability that its person is in the house and the phone is asleep or empty, so that its silence says nothing.
+    dead: f64,
     rates: [[Rate; CLASSES]; 2],
 }
 
@@ -157,7 +164,7 @@ impl Sensor {
             _ => Rate::new(per_s[state][class], 20.0, (0.25, 4.0)),
         };
         let rates = std::array::from_fn(|state| std::array::from_fn(|class| rate(state, class)));
-        Self { spec, slot, on: None, since_s: 0.0, rates }
+        Self { spec, slot, on: None, since_s: 0.0, dead: 0.0, rates }
     }
 
     /// Whether it sees a person as it sees the room's robot.
@@ -198,9 +205,21 @@ impl Sensor {
     }
 
     /// Flip rates of its present state by class, while it does not flip.
-    pub(super) fn silence(&self, on: bool, has_robot: bool) -> [f64; CLASSES] {
+    /// `inside` is the probability that the phone's person is in the house.
+    pub(super) fn silence(&self, on: bool, has_robot: bool, inside: impl FnOnce(usize) -> f64) -> [f64; CLASSES] {
         // A robot on its way may pass this room unseen: a sensor that stays off says nothing about it.
-        self.flips(on, has_robot && on)
+        let mut rates = self.flips(on, has_robot && on);
+        if let (Some(slot), true) = (self.slot, self.dead > 0.0) {
+            let alive = 1.0 - (self.dead / inside(slot).max(f64::MIN_POSITIVE)).min(1.0);
+            rates[1..].iter_mut().for_each(|rate| *rate *= alive);
+        }
+        rates
+    }
+
+    /// A phone turned on or off, after which its person is in the house with this probability.
+    pub(super) fn note_phone(&mut self, on: bool, inside: f64) {
+        let dead = if on { 0.0 } else { DEAD * inside };
+        self.dead = if self.spec.kind == SensorKind::Phone && dead > LEAST_DEAD { dead } else { 0.0 };
     }
 
     /// Flip rates of its present state by class, at a flip. An empty room with the robot looks like a room with a person.

@@ -296,6 +296,18 @@ fn a_door_and_two_silent_phones_make_the_house_empty() {
 }
 
 #[test]
+fn an_empty_phone_empties_no_house_whose_door_stays_shut() {
+    let mut play = Play::new();
+    for sensor in [S::PresenceLiving, S::PresenceOffice, S::BedJon, S::BedMira] {
+        play.see(Observation::Sensor { sensor: sensor as usize, on: None }, 1.0);
+    }
+    play.put(MIRA, HALL).put(JON, KITCHEN).on(S::FrontDoor).after(20.0).off(S::FrontDoor).after(200.0);
+    play.off(S::PhoneMira).after(600.0).pulse(S::MotionKitchen, 60.0).after(600.0).off(S::PhoneJon);
+    play.after(3_600.0);
+    play.expect(play.out(MIRA) > 0.9 && play.out(JON) < 0.7 && play.tracker.house_empty() < 0.7);
+}
+
+#[test]
 fn a_lost_phone_alone_makes_no_person_away() {
     let mut play = Play::new();
     play.put(MIRA, LIVING).on(S::PresenceLiving).put(JON, OFFICE).on(S::PresenceOffice).after(600.0);

@@ -93,9 +93,9 @@ impl Trace {
         self.last = [0.0; SLOTS_MAX];
     }
 
-    /// A new observation: no person has caused it yet.
-    pub(super) fn begin(&mut self) {
-        self.last = [0.0; SLOTS_MAX];
+    /// A new observation, of which each person caused this share.
+    pub(super) fn attribute(&mut self, shares: [f64; SLOTS_MAX]) {
+        self.last = shares;
     }
 
     pub(super) fn last_share(&self, slot: usize) -> f64 {
@@ -110,7 +110,7 @@ impl Trace {
         shares: [f64; SLOTS_MAX],
         (before, after): (&[f64], &[f64]),
     ) {
-        self.last = shares;
+        self.attribute(shares);
         let empty = || Heard { at_s, cause, shares, log_odds: Vec::with_capacity(SLOTS_MAX * self.columns) };
         let own = if let Cause::Sensor { sensor, on } = cause {
             let Some(place) = self.flips.get_mut(sensor) else { return };

@@ -18,7 +18,7 @@ use crate::config::May;
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::{GroundingOptions, partitions};
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
-use roomcast_core::narration::{Event, Observation, Quota};
+use roomcast_core::narration::{Event, Observation, Presence, Quota, SensorReport};
 use roomcast_core::pipeline::{Pipeline, PipelineError, Prepared};
 use roomcast_core::prepared::Answer;
 use roomcast_core::scorer::{LanguageModel, Progress};
@@ -295,7 +295,7 @@ impl<M: LanguageModel> Engine<M> {
         // The filter starts again with the rooms of the changed map.
         self.belief.tracking = None;
         if !self.belief.sensors.is_empty() {
-            self.start_tracking(i64::try_from(self.publication.snapshot.computed_ns).unwrap_or(i64::MAX));
+            self.start_tracking(None, i64::try_from(self.publication.snapshot.computed_ns).unwrap_or(i64::MAX));
         }
     }
 
@@ -408,6 +408,10 @@ impl<M: LanguageModel> Engine<M> {
             {
                 self.scoring.pipeline.intake().enter(Quota::EARLIER, own);
             }
+            let on_bed = self.belief.sensors.has_on_bed(person, None);
+            if let Some(known) = self.attribution.persons.get_mut(person) {
+                known.on_bed |= on_bed && known.presence == Presence::Present;
+            }
         }
     }
 
@@ -436,10 +440,11 @@ impl<M: LanguageModel> Engine<M> {
         self.belief.expect(&self.scoring.pipeline);
     }
 
-    /// Starts the joint filter with the belief of the forecasters.
-    fn start_tracking(&mut self, at_ns: i64) {
+    /// Starts the joint filter with the belief of the forecasters; the `fresh` report of a device comes later.
+    fn start_tracking(&mut self, fresh: Option<(u64, &SensorReport)>, at_ns: i64) {
         self.watch();
-        self.belief.start_tracking(&self.map, self.scoring.pipeline.grounding(), &self.attribution.persons, at_ns);
+        let home = (&self.map, self.scoring.pipeline.grounding());
+        self.belief.start_tracking(home, &self.attribution.persons, fresh, at_ns);
     }
 
     fn follow(&mut self) {

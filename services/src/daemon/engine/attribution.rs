@@ -50,9 +50,13 @@ pub(super) enum Weighed {
 /// Why an event moved no person.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::IntoStaticStr)]
 pub(super) enum Reason {
-    #[strum(serialize = "this narrator may not set presence (daemon.narrator.may)")]
+    #[strum(
+        serialize = "this narrator may not set presence: name it in [[daemon.narrator]] with may = [\"presence\"]; `person correct` is roomcast-person"
+    )]
     MayNotPresence,
-    #[strum(serialize = "this narrator may send presence only (daemon.narrator.may)")]
+    #[strum(
+        serialize = "this narrator may send presence only: give it may = [\"did\", \"presence\"] in [[daemon.narrator]]"
+    )]
     MayNotDid,
     #[strum(serialize = "the text begins with a name from persons.not_persons")]
     NoPerson,
@@ -68,7 +72,7 @@ pub(super) enum Reason {
     Held,
     #[strum(serialize = "the map lacks the room of this sensor")]
     UnknownRoom,
-    #[strum(serialize = "there are too many persons for this sensor")]
+    #[strum(serialize = "there are too many persons for this sensor: forget persons who moved out")]
     NoSensor,
 }
 
@@ -143,13 +147,18 @@ impl Attribution {
             let thing = found.map(|found| grounding.scored_labels()[found.label].text.clone());
             let room = own.event.room().and_then(|room| map.room(room, grounding));
             let place = thing.or_else(|| room.map(|room| grounding.partitions()[room].id.clone()));
-            let why = own.reason.map(<&str>::from).or(match &own.event {
+            let why = match &own.event {
                 Event::Did(_) if place.is_none() => Some("the text names no place on the map"),
                 Event::Present(Some(_)) | Event::Empty(_) if place.is_none() => {
                     Some("the map has no single room of this name: give the id of a room")
                 }
                 _ => None,
-            });
+            };
+            let why = own
+                .reason
+                .filter(|reason| why.is_none() || own.event.sentence().is_some() || *reason != Reason::Unclear)
+                .map(<&str>::from)
+                .or(why);
             let person = |person: &PersonId| UnderstoodPerson {
                 person: *person,
                 name: persons.name_of(*person).map(str::to_owned),

@@ -17,7 +17,7 @@ use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::Place as Whereabouts;
 use roomcast_core::ids::{BootNs, EventId, PersonId};
-use roomcast_core::narration::{Event, Presence};
+use roomcast_core::narration::{Event, Presence, SensorReport};
 use roomcast_core::pipeline::Pipeline;
 use roomcast_core::places::Mention;
 use roomcast_core::scorer::LanguageModel;
@@ -192,7 +192,13 @@ impl Belief {
     }
 
     /// Starts the joint filter with the belief of the forecasters.
-    pub(super) fn start_tracking(&mut self, map: &MapInUse, grounding: &Grounding, persons: &Persons, at_ns: i64) {
+    pub(super) fn start_tracking(
+        &mut self,
+        (map, grounding): (&MapInUse, &Grounding),
+        persons: &Persons,
+        fresh: Option<(u64, &SensorReport)>,
+        at_ns: i64,
+    ) {
         let followed = persons.followed();
         if followed.is_empty() && self.sensors.is_empty() {
             return;
@@ -201,7 +207,7 @@ impl Belief {
         let of = (at_ns, self.local_ahead_s);
         let believed = (&self.followed, is_lying);
         let home = (&map.map, grounding);
-        self.tracking = Tracking::new(home, followed.into_iter(), believed, &self.sensors, of).map(Box::new);
+        self.tracking = Tracking::new(home, followed.into_iter(), believed, (&self.sensors, fresh), of).map(Box::new);
         self.tell_robots(BootNs(at_ns.try_into().unwrap_or_default()));
     }
 

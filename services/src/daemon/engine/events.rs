@@ -48,6 +48,10 @@ impl<M: LanguageModel> Engine<M> {
         understood.by = found_by(&who);
         let observed = observation.event.clone();
         let own = Observation { event, ..observation };
+        if let Event::Present(Some(room)) = &own.event {
+            let effect = "the person counts as present, in no room in particular, or in any room of this name";
+            self.map.note_room(room.as_str(), self.scoring.pipeline.grounding(), effect);
+        }
         let weighed = self.weigh(&own, &who, reporter, at_ns);
         let is_weighed = weighed == Weighed::Yes;
         if let Event::Empty(_) = own.event {
@@ -210,9 +214,10 @@ impl<M: LanguageModel> Engine<M> {
             return Weighed::NotNeeded;
         }
         let count = if let Who::Unknown(count) = who { *count } else { 0 };
+        let fresh = if let Event::Sensor(report) = &own.event { Some((own.source, &**report)) } else { None };
         let is_shared = count > 1 || count == 1 && self.attribution.persons.are_several(reporter.is_unknown);
         if self.belief.tracking.is_none() && (is_shared || !self.belief.sensors.is_empty()) {
-            self.start_tracking(at_ns);
+            self.start_tracking(fresh, at_ns);
         }
         if self.belief.tracking.is_none() {
             return Weighed::NotNeeded;
@@ -269,11 +274,13 @@ impl<M: LanguageModel> Engine<M> {
         };
         let home = (&self.map.map, grounding);
         let Some(tracking) = &mut self.belief.tracking else { return Weighed::NotNeeded };
-        let is_taken = tracking.weigh(home, said, (at_ns, self.belief.local_ahead_s));
+        let mut is_taken = tracking.weigh(home, said, (at_ns, self.belief.local_ahead_s));
         if tracking.is_stale() {
-            // A device or its person changed; the filter starts again with its newest report.
-            self.start_tracking(at_ns);
-            return Weighed::NotNeeded;
+            // A device or its person changed: the filter starts again.
+            self.start_tracking(fresh, at_ns);
+            let home = (&self.map.map, self.scoring.pipeline.grounding());
+            let Some(tracking) = &mut self.belief.tracking else { return Weighed::NotNeeded };
+            is_taken = tracking.weigh(home, said, (at_ns, self.belief.local_ahead_s));
         }
         if is_taken {
             self.note_bed(&own.event, who_is);
@@ -435,10 +442,6 @@ impl<M: LanguageModel> Engine<M> {
         self.scoring.rescore(observation.person);
         if let Some(tracking) = &mut self.belief.tracking {
             tracking.admit(observation.person);
-        }
-        if let Event::Present(Some(room)) = &observation.event {
-            let effect = "the person counts as present, in no room in particular, or in any room of this name";
-            self.map.note_room(room.as_str(), self.scoring.pipeline.grounding(), effect);
         }
         let Some(at_ns) = at_ns else { return Ok(observation) };
         self.belief.see(Seen {

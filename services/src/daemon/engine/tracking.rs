@@ -144,6 +144,8 @@ pub(super) struct Tracking {
     room: Option<usize>,
     /// A robot explains what the sensor of the last event saw.
     had_robot: bool,
+    /// What narrators said of unknown persons within the last minute, with the time.
+    said: Vec<(u64, Event, f64)>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -171,12 +173,12 @@ pub(super) struct Said<'a> {
 }
 
 impl Tracking {
-    /// A filter that believes what the forecasters believe. `None` if the map has too many rooms for it.
+    /// A filter that believes what the forecasters believe. The `fresh` report of a device comes later. `None` if the map has too many rooms.
     pub(super) fn new(
         (map, grounding): (&SemanticMap, &Grounding),
         persons: impl Iterator<Item = PersonId>,
         (followed, is_lying): (&BTreeMap<PersonId, Forecaster>, impl Fn(PersonId) -> bool),
-        sensors: &Sensors,
+        (sensors, fresh): (&Sensors, Option<(u64, &SensorReport)>),
         (at_ns, local_ahead_s): (i64, f64),
     ) -> Option<Self> {
         let home = Home::of(map, grounding.partitions(), &ways_out(grounding)).ok()?;
@@ -196,6 +198,7 @@ impl Tracking {
             is_stale: false,
             room: None,
             had_robot: false,
+            said: Vec::new(),
         };
         for person in persons {
             own.index_of(person);
@@ -226,7 +229,8 @@ impl Tracking {
                 }
             }
         }
-        for (device, last) in &sensors.0 {
+        let fresh = fresh.map(|(source, report)| device_of(source, report));
+        for (device, last) in sensors.0.iter().filter(|(device, _)| fresh.as_ref() != Some(*device)) {
             if let Some(sensor) = own.sensors.iter().position(|(own, _)| own == device) {
                 own.tracker.observe(at_s, &Observation::Sensor { sensor, on: last.report.on }, TRUST);
             }
@@ -400,6 +404,10 @@ impl Tracking {
                 None => return false,
             },
         };
+        if self.is_repeated(&said, at_s) {
+            self.tracker.repeat(at_s, &observation);
+            return true;
+        }
         match (said.count, said.room) {
             // The text names the room once: it is no second observation.
             (2.., Some(room)) => {
@@ -415,6 +423,21 @@ impl Tracking {
             self.tracker.observe(at_s, &Observation::Lies { who }, trust);
         }
         true
+    }
+
+    /// Whether a narrator said the same of an unknown person within a minute. An unknown narrator may not repeat a known one either.
+    fn is_repeated(&mut self, said: &Said<'_>, at_s: f64) -> bool {
+        const AGAIN_S: f64 = 60.0;
+        const KEPT: usize = 16;
+        if matches!(said.event, Event::Sensor(_)) || said.who.is_some() && !said.is_unknown {
+            return false;
+        }
+        self.said.retain(|(.., last_s)| at_s - last_s < AGAIN_S);
+        let is_known = self.said.iter().any(|(source, event, ..)| (*source, event) == (said.source, said.event));
+        if !is_known && self.said.len() < KEPT {
+            self.said.push((said.source, said.event.clone(), at_s));
+        }
+        is_known
     }
 
     /// Lets persons move as is usual at each local hour up to a time. The changes end at the same steps with and without a look.
