@@ -54,7 +54,7 @@ pub enum Observation<'a> {
         /// Who; if unknown, a visitor.
         who: Option<usize>,
     },
-    /// Nobody is in the house.
+    /// All persons left the house.
     AllAway,
     /// A room has no persons.
     Empty {
@@ -194,7 +194,7 @@ fn weigh_person_phases(own: &mut Tracker, slot: usize, likelihood: impl Fn(Colum
     own.belief.weigh(&mut own.likelihood);
 }
 
-/// In lighter states than this, persons stay where they are.
+/// Persons do not move in lighter states than this.
 fn lightest(own: &Tracker) -> f64 {
     let light: f64 = own.belief.states().map(|state| state.weight).filter(|weight| *weight < LIGHT).sum();
     // Light states weigh little, but all of them may be light.
@@ -304,8 +304,7 @@ fn mean(phases: &Phases, of: &Phases) -> f64 {
     phases.iter().zip(of).map(|(share, own)| f64::from(share * own)).sum()
 }
 
-/// An unknown person leaves: each person near the door whom no sensor holds, or a visitor that no sensor saw. For good: one of the visitors, wherever
-/// they are.
+/// An unknown person leaves: a person near the door, less probably if sensors hold that person, or an unseen visitor. For good: one of the visitors.
 fn departure(own: &mut Tracker, trust: f64, for_good: bool) {
     let slots = if for_good { own.unknown() } else { own.belief.slots() };
     own.fill_states();

@@ -18,7 +18,7 @@ use crate::config::May;
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::{GroundingOptions, partitions};
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
-use roomcast_core::narration::{Event, Observation, Presence, Quota, SensorReport};
+use roomcast_core::narration::{Observation, Presence, Quota, SensorReport};
 use roomcast_core::pipeline::{Pipeline, PipelineError, Prepared};
 use roomcast_core::prepared::Answer;
 use roomcast_core::scorer::{LanguageModel, Progress};

@@ -211,7 +211,7 @@ impl Belief {
         self.tell_robots(BootNs(at_ns.try_into().unwrap_or_default()));
     }
 
-    /// The next person who is present and whom the filter believes to be out, or away and believed to be in, with the event that says so.
+    /// The next person whose presence contradicts the filter, with the event that ends it.
     pub(super) fn crossed(&self, persons: &Persons) -> Option<(PersonId, Event)> {
         const OUT: f64 = 0.95;
         let tracking = self.tracking.as_deref()?;

@@ -8,7 +8,7 @@ use roomcast_core::grounding::Grounding;
 use roomcast_core::guess::Counts;
 use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::label_trie::TokenTree;
-use roomcast_core::narration::Sentence;
+use roomcast_core::narration::{Event, Sentence};
 use roomcast_core::pipeline::PipelineOptions;
 use roomcast_core::scorer::certified::Effort;
 use roomcast_core::scorer::correction::CorrectionChoice;

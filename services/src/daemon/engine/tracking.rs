@@ -144,7 +144,7 @@ pub(super) struct Tracking {
     room: Option<usize>,
     /// A robot explains what the sensor of the last event saw.
     had_robot: bool,
-    /// What narrators said of unknown persons within the last minute, with the time.
+    /// Events without a name of the last minute: source, event, time.
     said: Vec<(u64, Event, f64)>,
 }
 
@@ -425,7 +425,7 @@ impl Tracking {
         true
     }
 
-    /// Whether a narrator said the same of an unknown person within a minute. An unknown narrator may not repeat a known one either.
+    /// Whether a narrator sent the same event without a name within a minute. Of an unknown narrator, names do not matter.
     fn is_repeated(&mut self, said: &Said<'_>, at_s: f64) -> bool {
         const AGAIN_S: f64 = 60.0;
         const KEPT: usize = 16;
