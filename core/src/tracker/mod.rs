@@ -91,15 +91,13 @@ pub struct Options {
     pub phases_apart: bool,
     /// Slots for unknown persons.
     pub unknown: usize,
-    /// Share of the people who pass a shut door without its sensor seeing it.
-    pub door_misses: f64,
     /// Whether sensors' rates are learned.
     pub learns: bool,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { states: 160, floor: 3e-7, phases_apart: false, unknown: VISITORS, door_misses: 0.05, learns: true }
+        Self { states: 160, floor: 3e-7, phases_apart: false, unknown: VISITORS, learns: true }
     }
 }
 
@@ -273,8 +271,7 @@ impl Tracker {
             let mut doors = self.sensors.iter().map(|sensor| &sensor.spec);
             doors.any(|spec| spec.kind == SensorKind::Door && spec.room == Some(room) && spec.beyond.is_none())
         };
-        let leak: Vec<f64> =
-            (0..rooms).map(|room| if is_sensed(room) { self.options.door_misses } else { 1.0 }).collect();
+        let leak: Vec<f64> = (0..rooms).map(|room| if is_sensed(room) { DOOR_MISSES } else { 1.0 }).collect();
         self.tables.fill(&self.home, &leak);
     }
 
@@ -401,7 +398,7 @@ impl Tracker {
             let (Some(on), false) = (sensor.evidence(self.now_s), sensor.spec.kind == SensorKind::Door) else {
                 continue;
             };
-            let robot = sensor.spec.room.is_some_and(|room| self.now_s < self.robot_until_s[room]);
+            let robot = sensor.spec.room.is_some_and(|room| self.has_robot(room));
             let flips = sensor.silence(on, robot, |slot| self.belief.inside(slot));
             let silent = flips.map(|flip| ((flips[EMPTY] - flip) * seconds).clamp(-30.0, 30.0).exp());
             sensor.weigh(silent, &mut self.likelihood);
@@ -412,8 +409,7 @@ impl Tracker {
     fn fill_states(&mut self) {
         self.likelihood.clear(1 + self.home.rooms(), self.belief.slots());
         for sensor in &self.sensors {
-            let robot =
-                sensor.sees_robots() && sensor.spec.room.is_some_and(|room| self.now_s < self.robot_until_s[room]);
+            let robot = sensor.sees_robots() && sensor.spec.room.is_some_and(|room| self.has_robot(room));
             let (Some(on), false) = (sensor.evidence(self.now_s), robot || sensor.spec.kind == SensorKind::Door) else {
                 continue;
             };
@@ -438,7 +434,7 @@ impl Tracker {
     fn classes_of(&self, number: usize) -> Option<[f64; CLASSES]> {
         let spec = &self.sensors[number].spec;
         let room = spec.room.filter(|_| spec.kind != SensorKind::Door && spec.person.is_none())?;
-        (self.now_s >= self.robot_until_s[room]).then(|| self.classes[room])
+        (!self.has_robot(room)).then(|| self.classes[room])
     }
 
     /// Refills the marginals from the joint states.
@@ -671,6 +667,9 @@ fn add(to: &mut Phases, weight: f32, phases: &Phases) {
 
 /// The classes of an empty room.
 const EMPTY_ROOM: [f64; CLASSES] = [1.0, 0.0, 0.0, 0.0];
+
+/// Share of the people who pass a shut door without its sensor seeing it.
+const DOOR_MISSES: f64 = 0.05;
 
 /// Visitors are counted up to this number.
 pub const VISITORS: usize = 2;

@@ -369,7 +369,7 @@ fn sensor_reports(own: &mut Tracker, number: usize, on: Option<bool>) -> Option<
         (SensorKind::Door, Some(false)) if on => door_opens(own, &sensor),
         (SensorKind::Door, _) => {}
         (_, was) => {
-            let robot = sensor.spec.room.is_some_and(|room| now_s < own.robot_until_s[room]);
+            let robot = sensor.spec.room.is_some_and(|room| own.has_robot(room));
             let classes = match was {
                 Some(was) => sensor.flips(was && !again, robot),
                 None => sensor.shows(on),
@@ -443,7 +443,16 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
     let slots = own.belief.slots();
     let rooms = own.home.rooms();
     let mut shares = [0.0; SLOTS_MAX];
-    let named = |who: Option<usize>| who.and_then(|person| own.slot(person));
+    let named = match *observation {
+        Observation::Action { who, .. } | Observation::Text { who, .. } | Observation::Present { who, .. } => who,
+        Observation::Away { who } | Observation::Gone { who } => who,
+        Observation::Lies { who } => Some(who),
+        _ => None,
+    };
+    if let Some(slot) = named.and_then(|person| own.slot(person)) {
+        shares[slot] = 1.0;
+        return shares;
+    }
     let mut spread = |weight: &dyn Fn(usize, Column) -> Phases| {
         let mut weights = [[[0.0; 4]; ROOMS_MAX + 1]; SLOTS_MAX];
         for (slot, weights) in weights.iter_mut().enumerate().take(slots) {
@@ -465,7 +474,6 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
             }
         }
     };
-    let is_in = |column: Column, room: usize| [f32::from(u8::from(room_at(column) == Some(room))); 4];
     match *observation {
         Observation::Sensor { sensor, .. } => {
             let Some(sensor) = own.sensors.get(sensor) else { return shares };
@@ -488,35 +496,21 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
                 });
             }
         }
-        Observation::Action { who, rooms: list } | Observation::Text { who, rooms: list } => match named(who) {
-            Some(slot) => shares[slot] = 1.0,
-            None => spread(&|_, column| {
-                [room_at(column).map_or(0.0, |room| list.get(room).copied().unwrap_or(1.0).max(0.0)) as f32; 4]
-            }),
-        },
-        Observation::Lies { who } => shares[own.slot(who).unwrap_or(0)] = 1.0,
-        Observation::Present { who: None, room: None } => {
+        Observation::Action { rooms: list, .. } | Observation::Text { rooms: list, .. } => spread(&|_, column| {
+            [room_at(column).map_or(0.0, |room| list.get(room).copied().unwrap_or(1.0).max(0.0)) as f32; 4]
+        }),
+        Observation::Present { room: Some(room), .. } | Observation::Count { room, .. } => {
+            spread(&|_, column| [f32::from(u8::from(room_at(column) == Some(room))); 4])
+        }
+        // Those who are elsewhere now, or no longer.
+        Observation::Present { .. } | Observation::Away { .. } | Observation::Gone { .. } | Observation::AllAway => {
+            let is_present = matches!(observation, Observation::Present { .. });
             for (slot, share) in shares.iter_mut().enumerate().take(slots) {
-                let column = slot * (rooms + 1) + rooms;
-                *share = (own.earlier[column] - own.marginals[column]).max(0.0);
+                let [now, before] = [&own.marginals, &own.earlier].map(|list| list[slot * (rooms + 1) + rooms]);
+                *share = if is_present { before - now } else { now - before }.max(0.0);
             }
         }
-        Observation::Present { who, room } => match (named(who), room) {
-            (Some(slot), _) => shares[slot] = 1.0,
-            (None, Some(room)) => spread(&|_, column| is_in(column, room)),
-            (None, None) => {}
-        },
-        Observation::Away { who } | Observation::Gone { who } => match named(who) {
-            Some(slot) => shares[slot] = 1.0,
-            None => {
-                for (slot, share) in shares.iter_mut().enumerate().take(slots) {
-                    let column = slot * (rooms + 1) + rooms;
-                    *share = (own.marginals[column] - own.earlier[column]).max(0.0);
-                }
-            }
-        },
-        Observation::Count { room, .. } => spread(&|_, column| is_in(column, room)),
-        Observation::AllAway | Observation::Empty { .. } | Observation::Robot { .. } => {}
+        Observation::Lies { .. } | Observation::Empty { .. } | Observation::Robot { .. } => {}
     }
     shares
 }

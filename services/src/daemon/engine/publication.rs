@@ -34,7 +34,7 @@ pub(super) struct Publication {
     /// Values beyond the rooms and horizons stay zero.
     person_forecasts: Box<PersonForecastsV1>,
     /// Working memory of the forecast.
-    house: Independent,
+    pub(super) house: Independent,
     visitors: Vec<f64>,
     /// Working memory: the sources in the order of the message, each with the number of newer ones of the same quota.
     newest_sources: Vec<(usize, Included)>,
@@ -157,7 +157,7 @@ impl Publication {
             others_free.iter_mut().zip(own.at(now_s, 0.0)).for_each(|(free, p)| *free *= 1.0 - p);
         }
         self.house.update(rooms.len(), followed, home, now_ns);
-        let Independent { free, elsewhere } = &self.house;
+        let Independent { free, elsewhere, .. } = &self.house;
         // Visitors have no forecast of their own: they move as the filter lets them.
         self.visitors.clear();
         if let Some(own) = tracker {
@@ -210,7 +210,7 @@ impl Publication {
         (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
         let before = std::mem::replace(&mut message.person_count, scores.person_count) as usize;
         message.persons = scores.persons;
-        let (rooms, now_s) = (scores.room_count as usize, now_ns.seconds());
+        let rooms = scores.room_count as usize;
         let (used, places) = (scores.persons().len(), &mut message.person);
         for (scores, place) in scores.persons().iter().zip(places.iter_mut()) {
             let person = PersonId(scores.person);
@@ -220,29 +220,20 @@ impl Publication {
             place.presence = presence as u32;
             place.flags = known_persons.flags(person, signed_ns) | scores.flags & person_flags::UNFAMILIAR;
             let own = followed.get(&person);
-            let rows = own.and_then(|own| home.forecast(person, own, now_ns, &HORIZONS_S));
-            let by_habit = rows.is_some();
-            for (horizon, horizon_s) in HORIZONS_S.iter().enumerate() {
-                if let Some((gone, known)) = rows.and_then(|rows| row(rows, horizon)?.split_last()) {
-                    place.elsewhere[horizon] = *gone as f32;
+            let by_habit = own.is_some_and(|own| self.house.fill_rows((person, own), home, now_ns));
+            if own.is_some() {
+                for (horizon, (gone, known)) in self.house.by_horizon().enumerate() {
+                    place.elsewhere[horizon] = gone as f32;
                     for (row, probability) in place.probability.iter_mut().zip(known).take(rooms) {
                         row[horizon] = probability.clamp(0.0, 1.0) as f32;
                     }
-                    continue;
                 }
-                let Some(own) = own else {
-                    // Persons that are gone have no forecast. A present person has none if the events had no time.
-                    let is_here = presence == Presence::Present;
-                    let even = if is_here { 1.0 / rooms.max(1) as f32 } else { 0.0 };
-                    place.probability.iter_mut().take(rooms).for_each(|row| row[horizon] = even);
-                    place.elsewhere[horizon] = f32::from(u8::from(!is_here));
-                    continue;
-                };
-                place.elsewhere[horizon] = own.elsewhere(now_s, f64::from(*horizon_s)) as f32;
-                let probability = own.at(now_s, f64::from(*horizon_s));
-                for (row, probability) in place.probability.iter_mut().zip(probability).take(rooms) {
-                    row[horizon] = probability.clamp(0.0, 1.0) as f32;
-                }
+            } else {
+                // Persons that are gone have no forecast. A present person has none if the events had no time.
+                let is_here = presence == Presence::Present;
+                let even = if is_here { 1.0 / rooms.max(1) as f32 } else { 0.0 };
+                place.probability.iter_mut().take(rooms).for_each(|row| row.fill(even));
+                place.elsewhere.fill(f32::from(u8::from(!is_here)));
             }
             place.observations = home.observations_of(person) as f32;
             if by_habit {
@@ -452,11 +443,13 @@ impl Publication {
 
 /// The house by horizon if its persons moved independently.
 #[derive(Debug, Default)]
-struct Independent {
+pub(super) struct Independent {
     /// The probability that a room is free, horizon by horizon.
     free: Vec<f64>,
     /// The probability that all persons are elsewhere.
     elsewhere: [f64; MAX_HORIZONS],
+    /// A person's forecast: horizon by horizon the rooms, then elsewhere.
+    rows: Vec<f64>,
 }
 
 impl Independent {
@@ -467,23 +460,44 @@ impl Independent {
         home: &mut HomeHabits,
         now_ns: BootNs,
     ) {
-        let (Self { free, elsewhere }, now_s) = (self, now_ns.seconds());
+        let (mut free, mut elsewhere) = (std::mem::take(&mut self.free), [1.0; MAX_HORIZONS]);
         free.clear();
         free.resize(rooms * MAX_HORIZONS, 1.0);
-        *elsewhere = [1.0; MAX_HORIZONS];
         for (person, own) in followed {
-            let by_habit = home.forecast(*person, own, now_ns, &HORIZONS_S);
-            for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
-                let free = free[place * rooms..][..rooms].iter_mut();
-                if let Some((gone, known)) = by_habit.and_then(|rows| row(rows, place)?.split_last()) {
-                    free.zip(known).for_each(|(free, p)| *free *= 1.0 - p);
-                    elsewhere[place] *= gone;
-                } else {
-                    free.zip(own.at(now_s, f64::from(*horizon_s))).for_each(|(free, p)| *free *= 1.0 - p);
-                    elsewhere[place] *= own.elsewhere(now_s, f64::from(*horizon_s));
-                }
+            self.fill_rows((*person, own), home, now_ns);
+            for ((free, elsewhere), (gone, known)) in
+                free.chunks_exact_mut(rooms.max(1)).zip(&mut elsewhere).zip(self.by_horizon())
+            {
+                free.iter_mut().zip(known).for_each(|(free, p)| *free *= 1.0 - p);
+                *elsewhere *= gone;
             }
         }
+        (self.free, self.elsewhere) = (free, elsewhere);
+    }
+
+    /// Fills in a person's forecast, by habit if there is one. Returns whether there is.
+    pub(super) fn fill_rows(
+        &mut self,
+        (person, own): (PersonId, &Forecaster),
+        home: &mut HomeHabits,
+        now_ns: BootNs,
+    ) -> bool {
+        self.rows.clear();
+        if let Some(rows) = home.forecast(person, own, now_ns, &HORIZONS_S) {
+            self.rows.extend_from_slice(rows);
+            return true;
+        }
+        for horizon_s in HORIZONS_S.map(f64::from) {
+            self.rows.extend(own.at(now_ns.seconds(), horizon_s));
+            self.rows.push(own.elsewhere(now_ns.seconds(), horizon_s));
+        }
+        false
+    }
+
+    /// By horizon: the probability of elsewhere, and of each room.
+    pub(super) fn by_horizon(&self) -> impl Iterator<Item = (f64, &[f64])> {
+        let rows = self.rows.chunks_exact((self.rows.len() / HORIZONS_S.len()).max(1));
+        rows.filter_map(|row| row.split_last()).map(|(gone, known)| (*gone, known))
     }
 }
 
@@ -502,10 +516,6 @@ fn write_learned(home: &HomeHabits, person: PersonId, place: &mut PersonForecast
             place.learned_share[at] = learned as f32;
         }
     }
-}
-
-fn row(rows: &[f64], horizon: usize) -> Option<&[f64]> {
-    rows.chunks_exact((rows.len() / HORIZONS_S.len()).max(1)).nth(horizon)
 }
 
 /// The message's value for the way in which scores were reached.

@@ -6,7 +6,7 @@ use roomcast_core::tracker::Cause;
 
 use super::super::person_question::{NoisySensor, PlaceLine, UnderstoodPerson, Whereabouts, WhyLine};
 use super::tracking::Tracking;
-use super::{Engine, HORIZONS_S, seconds};
+use super::{Engine, seconds};
 use crate::habits_reason::ELSEWHERE;
 
 /// Less probable places are left out.
@@ -19,21 +19,22 @@ impl<M: LanguageModel> Engine<M> {
     pub(in crate::daemon) fn whereabouts(&mut self, person: PersonId, now_ns: BootNs) -> Whereabouts {
         self.forecast(now_ns);
         let rooms: Vec<String> = self.publication.snapshot.rooms().iter().map(|room| room.id().to_owned()).collect();
-        let now_s = now_ns.seconds();
         let own = self.belief.forecasters().get(&person).or_else(|| self.belief.followed.get(&person));
-        // Its first horizon is now.
-        let by_habit = own.and_then(|own| Some(self.home.forecast(person, own, now_ns, &HORIZONS_S)?.to_vec()));
         let tracking = self.belief.tracking.as_deref();
+        let now: Vec<f64> = match own {
+            Some(own) => {
+                self.publication.house.fill_rows((person, own), &mut self.home, now_ns);
+                // The first horizon is now.
+                let now = self.publication.house.by_horizon().take(1);
+                now.flat_map(|(gone, known)| known.iter().copied().chain([gone])).collect()
+            }
+            None => {
+                let places = (0..rooms.len()).map(Some).chain([None]);
+                places.map(|room| tracking.map_or(0.0, |own| own.probability(person, room))).collect()
+            }
+        };
         let mut places: Vec<PlaceLine> = Vec::new();
-        for (room, id) in rooms.iter().map(String::as_str).chain([ELSEWHERE]).enumerate() {
-            let probability = match (&by_habit, own) {
-                (Some(now), _) => now.get(room).copied().unwrap_or_default(),
-                (None, Some(own)) if room == rooms.len() => own.elsewhere(now_s, 0.0),
-                (None, Some(own)) => own.at(now_s, 0.0).nth(room).unwrap_or_default(),
-                (None, None) => {
-                    tracking.map_or(0.0, |own| own.probability(person, (room < rooms.len()).then_some(room)))
-                }
-            };
+        for (room, (id, probability)) in rooms.iter().map(String::as_str).chain([ELSEWHERE]).zip(now).enumerate() {
             if probability >= LEAST {
                 let room = (room < rooms.len()).then_some(room);
                 let why = tracking.map(|own| self.why(own, person, room, now_ns)).unwrap_or_default();
@@ -47,8 +48,7 @@ impl<M: LanguageModel> Engine<M> {
         Whereabouts {
             person: self.called(person),
             places,
-            house_empty: filter
-                .map_or_else(|| f64::from(self.publication.forecast.elsewhere[0]), |own| own.house_empty()),
+            house_empty: f64::from(self.publication.forecast.elsewhere[0]),
             visited: filter.map_or(0.0, |own| own.visitors(1)),
             visited_by_two: filter.map_or(0.0, |own| own.visitors(2)),
             is_joint: tracking.is_some(),

@@ -690,12 +690,6 @@ fn counted_persons_are_limited_by_residents_and_visitors() {
 }
 
 #[test]
-fn two_people_in_a_room_are_both_residents() {
-    let steps = "1 Ada: They lie on the bed. | 5 Ben: They take a shower. | 60: Two people are in the kitchen. | ? Ada kitchen > .8 | ? Ben kitchen > .8";
-    House::of("Ada, Ben", steps);
-}
-
-#[test]
 fn a_count_takes_no_event_from_the_only_person() {
     let mut house = House::of("Ada", "1: They lie on the bed.");
     let counted = Observation { count: 2, ..house.observation(0, "somebody", "They cook in the kitchen.") };
