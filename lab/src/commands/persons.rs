@@ -44,7 +44,7 @@ pub(super) struct PersonsArgs {
     /// Share of days with one or two guests.
     #[arg(long, value_name = "SHARE", default_value_t = VISITS, value_parser = ranges::share)]
     visits: f64,
-    /// Most joint states that the filter keeps; a home of two or one keeps half.
+    /// Most joint states that the filter keeps.
     #[arg(long, value_name = "N", default_value_t = Options::default().states, value_parser = ranges::whole(2..=100_000_usize))]
     states: usize,
     /// Slots of the filter for unknown persons.
