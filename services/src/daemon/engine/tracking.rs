@@ -434,7 +434,10 @@ impl Tracking {
         }
         self.said.retain(|(.., last_s)| at_s - last_s < AGAIN_S);
         let is_known = self.said.iter().any(|(source, event, ..)| (*source, event) == (said.source, said.event));
-        if !is_known && self.said.len() < KEPT {
+        if !is_known {
+            if self.said.len() == KEPT {
+                self.said.remove(0);
+            }
             self.said.push((said.source, said.event.clone(), at_s));
         }
         is_known
