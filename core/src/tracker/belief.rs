@@ -299,7 +299,8 @@ impl Belief {
 
     /// The probability that a person is in the house.
     pub(super) fn inside(&self, slot: usize) -> f64 {
-        let is_in = |key: &Key| key.to_le_bytes()[slot] > if self.apart { 1 } else { 0 };
+        let least = if self.apart { 1 } else { 0 };
+        let is_in = |key: &Key| key.to_le_bytes().get(slot).is_some_and(|own| *own > least);
         self.keys.iter().zip(&self.weights).filter(|(key, _)| is_in(key)).map(|(_, weight)| weight).sum()
     }
 

@@ -393,30 +393,32 @@ impl Tracker {
 
     /// The likelihood of silence for some seconds.
     fn fill_silence(&mut self, seconds: f64) {
+        for sensor in self.sensors.iter_mut().filter(|sensor| sensor.dead > 0.0) {
+            sensor.note_inside(sensor.slot.map_or(0.0, |slot| self.belief.inside(slot)));
+        }
         self.likelihood.clear(1 + self.home.rooms(), self.belief.slots());
         for sensor in &self.sensors {
             let (Some(on), false) = (sensor.evidence(self.now_s), sensor.spec.kind == SensorKind::Door) else {
                 continue;
             };
             let robot = sensor.spec.room.is_some_and(|room| self.has_robot(room));
-            let flips = sensor.silence(on, robot, |slot| self.belief.inside(slot));
+            let flips = sensor.silence(on, robot);
             let silent = flips.map(|flip| ((flips[EMPTY] - flip) * seconds).clamp(-30.0, 30.0).exp());
             sensor.weigh(silent, &mut self.likelihood);
         }
     }
 
-    /// The likelihood of what the sensors show now.
-    fn fill_states(&mut self) {
+    /// The likelihood of what sensors of some kinds show now. `left_s`: a person may have left a room unseen within this time, in seconds.
+    fn fill_states(&mut self, left_s: f64, counts: impl Fn(SensorKind) -> bool) {
         self.likelihood.clear(1 + self.home.rooms(), self.belief.slots());
         for sensor in &self.sensors {
             let robot = sensor.sees_robots() && sensor.spec.room.is_some_and(|room| self.has_robot(room));
-            let (Some(on), false) = (sensor.evidence(self.now_s), robot || sensor.spec.kind == SensorKind::Door) else {
-                continue;
-            };
+            let is_left_out = robot || sensor.spec.kind == SensorKind::Door || !counts(sensor.spec.kind);
+            let (Some(on), false) = (sensor.evidence(self.now_s), is_left_out) else { continue };
             let mut shown = sensor.shows(on);
             if on {
-                // Its person may have left within the last hour.
-                shown[EMPTY] = shown[EMPTY].max((sensor.hold_s() / 3_600.0).min(1.0));
+                let least = shown[1..].iter().fold(1.0, |least: f64, own| least.min(*own));
+                shown[EMPTY] = shown[EMPTY].max((sensor.hold_s() / left_s).min(least));
             }
             sensor.weigh(shown, &mut self.likelihood);
         }
@@ -478,12 +480,25 @@ impl Tracker {
         self.earlier.clone_from(&self.marginals);
         let trust = if trust.is_finite() { trust.clamp(0.05, 0.999) } else { 0.5 };
         let Some(cause) = observe::weigh(self, observation, trust) else { return };
+        self.note_dead(cause);
         self.quiet = 0;
         let shares = observe::attribute(self, observation);
         self.trace.record(self.now_s, cause, shares, (&self.earlier, &self.marginals));
     }
 
-    /// An observation that repeats the last one of its kind says nothing new: its attribution is read off, and the belief stays.
+    /// What speaks for a person in the house speaks for a person with an empty phone, too.
+    fn note_dead(&mut self, cause: Cause) {
+        let columns = self.home.rooms() + 1;
+        for (number, sensor) in self.sensors.iter_mut().enumerate().filter(|(_, sensor)| sensor.dead > 0.0) {
+            let is_cause = matches!(cause, Cause::Sensor { sensor, .. } if sensor == number);
+            let (Some(slot), false) = (sensor.slot, is_cause) else { continue };
+            let inside = |list: &[f64]| 1.0 - list.get(slot * columns + columns - 1).copied().unwrap_or(1.0);
+            let (before, after) = (inside(&self.earlier), inside(&self.marginals));
+            sensor.dead = (sensor.dead * after / before.max(1e-9)).clamp(1e-9, after.max(1e-9));
+        }
+    }
+
+    /// A text that was said a moment ago says nothing new: its attribution is read off, and the belief stays.
     pub fn repeat(&mut self, at_s: f64, observation: &Observation<'_>) {
         self.advance(at_s);
         self.earlier.clone_from(&self.marginals);

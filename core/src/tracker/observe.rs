@@ -81,6 +81,8 @@ const LOST_PRESENT: f64 = 0.3;
 const LOST_ACTION: f64 = 0.1;
 /// Probability that a person left unseen, given a report by name that the person is out.
 const LEFT: f64 = 0.7;
+/// A person whom the filter lost left the former room within this time, in seconds.
+const UNSEEN_S: f64 = 3_600.0;
 /// In states below this probability the person stays.
 const LIGHT: f64 = 1e-5;
 /// Rooms with a smaller share of a text's likelihood are no place to put a lost person.
@@ -149,6 +151,8 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
         Observation::AllAway => {
             // In this order, unknown persons who are out now take no other slot.
             for slot in (0..own.belief.slots()).rev() {
+                // Phones and motion sensors are still on when everybody leaves.
+                own.fill_states(UNSEEN_S, |kind| matches!(kind, SensorKind::Bed | SensorKind::Presence));
                 recall(own, 0, LEFT, |_, other, _| f64::from(u8::from(other == slot)));
             }
             own.belief.weigh_states(|state| if state.rooms().0 == 0 { trust } else { 1.0 - trust });
@@ -221,10 +225,9 @@ fn visitor(state: &State<'_>, unknown: usize, column: Column) -> Option<usize> {
 }
 
 /// The filter may have lost persons, who are in this column: with the probability `lost` times a weight of at most 1, and the less probably the more
-/// the sensors speak against it. A state moves one person.
+/// the states of sensors speak against it, which [`Tracker::fill_states`] filled in. A state moves one person.
 fn recall(own: &mut Tracker, to: Column, lost: f64, weight: impl Fn(&State<'_>, usize, Column) -> f64) {
     let least = lightest(own);
-    own.fill_states();
     let Tracker { belief, likelihood, .. } = own;
     belief.transfer(|state, flows| {
         let mut moves = [0.0; SLOTS_MAX];
@@ -253,6 +256,7 @@ fn count(own: &mut Tracker, room: usize, persons: usize, trust: f64) {
     let (column, unknown) = (1 + room as Column, own.unknown());
     let persons = persons.min(own.belief.slots());
     for person in 1..=persons {
+        own.fill_states(UNSEEN_S, |_| true);
         let has = |state: &State<'_>| state.slots().filter(|(at, _)| *at == column).count() >= person;
         recall(own, column, LOST_PRESENT, |state, slot, from| match from {
             _ if has(state) => 0.0,
@@ -307,7 +311,8 @@ fn mean(phases: &Phases, of: &Phases) -> f64 {
 /// An unknown person leaves: a person near the door, less probably if sensors hold that person, or an unseen visitor. For good: one of the visitors.
 fn departure(own: &mut Tracker, trust: f64, for_good: bool) {
     let slots = if for_good { own.unknown() } else { own.belief.slots() };
-    own.fill_states();
+    // The motion sensor at the door is still on.
+    own.fill_states(f64::INFINITY, |kind| matches!(kind, SensorKind::Bed | SensorKind::Presence | SensorKind::Phone));
     let Tracker { belief, likelihood, home, .. } = own;
     belief.transfer(|state, flows| {
         flows.keep(1.0 - trust + trust * UNSEEN);

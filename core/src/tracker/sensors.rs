@@ -152,7 +152,9 @@ pub(super) struct Sensor {
     pub(super) on: Option<bool>,
     pub(super) since_s: f64,
     /// The probability that its person is in the house and the phone is asleep or empty, so that its silence says nothing.
-    dead: f64,
+    pub(super) dead: f64,
+    /// The probability that the phone is not, if its person is in the house.
+    alive: f64,
     rates: [[Rate; CLASSES]; 2],
 }
 
@@ -164,7 +166,7 @@ impl Sensor {
             _ => Rate::new(per_s[state][class], 20.0, (0.25, 4.0)),
         };
         let rates = std::array::from_fn(|state| std::array::from_fn(|class| rate(state, class)));
-        Self { spec, slot, on: None, since_s: 0.0, dead: 0.0, rates }
+        Self { spec, slot, on: None, since_s: 0.0, dead: 0.0, alive: 1.0, rates }
     }
 
     /// Whether it sees a person as it sees the room's robot.
@@ -205,21 +207,24 @@ impl Sensor {
     }
 
     /// Flip rates of its present state by class, while it does not flip.
-    /// `inside` is the probability that the phone's person is in the house.
-    pub(super) fn silence(&self, on: bool, has_robot: bool, inside: impl FnOnce(usize) -> f64) -> [f64; CLASSES] {
+    pub(super) fn silence(&self, on: bool, has_robot: bool) -> [f64; CLASSES] {
         // A robot on its way may pass this room unseen: a sensor that stays off says nothing about it.
         let mut rates = self.flips(on, has_robot && on);
-        if let (Some(slot), true) = (self.slot, self.dead > 0.0) {
-            let alive = 1.0 - (self.dead / inside(slot).max(f64::MIN_POSITIVE)).min(1.0);
-            rates[1..].iter_mut().for_each(|rate| *rate *= alive);
-        }
+        rates[1..].iter_mut().for_each(|rate| *rate *= self.alive);
         rates
+    }
+
+    /// A phone that is off, while its person is in the house with this probability.
+    pub(super) fn note_inside(&mut self, inside: f64) {
+        self.dead = self.dead.min(inside);
+        self.alive = 1.0 - self.dead / inside.max(f64::MIN_POSITIVE);
     }
 
     /// A phone turned on or off, after which its person is in the house with this probability.
     pub(super) fn note_phone(&mut self, on: bool, inside: f64) {
         let dead = if on { 0.0 } else { DEAD * inside };
         self.dead = if self.spec.kind == SensorKind::Phone && dead > LEAST_DEAD { dead } else { 0.0 };
+        self.alive = 1.0;
     }
 
     /// Flip rates of its present state by class, at a flip. An empty room with the robot looks like a room with a person.

@@ -291,6 +291,9 @@ fn an_empty_phone_empties_no_house_whose_door_stays_shut() {
     play.off(S::PhoneMira).after(600.0).pulse(S::MotionKitchen, 60.0).after(600.0).off(S::PhoneJon);
     play.after(3_600.0);
     play.expect(play.out(MIRA) > 0.9 && play.out(JON) < 0.7 && play.tracker.house_empty() < 0.7);
+    // Nor if its person is heard of again.
+    play.see(Observation::Action { who: Some(JON), rooms: &[0.0, 0.0, 0.0, 0.0, 1.0, 0.0] }, 0.99).after(3_600.0);
+    play.expect(play.out(JON) < 0.4);
 }
 
 #[test]

@@ -399,7 +399,8 @@ impl<M: LanguageModel> Engine<M> {
         }
         while let Some((person, event)) = self.belief.crossed(&self.attribution.persons) {
             // A restart needs no record of it: the filter repeats it.
-            let last = self.attribution.persons.get(person).map_or(EventId::new(0, 0, 0), |known| known.last);
+            let before = self.attribution.persons.get(person);
+            let (last, heard_ns) = before.map_or((EventId::new(0, 0, 0), now_ns), |known| (known.last, known.heard_ns));
             let observed_ns = BootNs(u64::try_from(now_ns).unwrap_or_default());
             let own = Observation { person, by_fit: true, observed_ns, ..Observation::saying(last.sequence, event) };
             let own = Observation { source: last.source, epoch: last.epoch, ..own };
@@ -411,6 +412,8 @@ impl<M: LanguageModel> Engine<M> {
             let on_bed = self.belief.sensors.has_on_bed(person, None);
             if let Some(known) = self.attribution.persons.get_mut(person) {
                 known.on_bed |= on_bed && known.presence == Presence::Present;
+                // It is no event: a late one of the person still counts.
+                known.heard_ns = heard_ns;
             }
         }
     }

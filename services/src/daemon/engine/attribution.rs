@@ -68,6 +68,8 @@ pub(super) enum Reason {
     Outdated,
     #[strum(serialize = "several persons can have caused it: the belief about each of them changed a little")]
     Unclear,
+    #[strum(serialize = "the same text within a minute counts once")]
+    Repeated,
     #[strum(serialize = "sensors hold each person in the house: the belief about each of them changed a little")]
     Held,
     #[strum(serialize = "the map lacks the room of this sensor")]

@@ -96,7 +96,13 @@ impl<M: LanguageModel> Engine<M> {
         let is_unclear = parts.is_empty() && !is_sensor && is_weighed;
         parts.into_iter().for_each(|own| take(self, own));
         if is_unclear {
-            understood.reason = Some(if who == Who::House { Reason::Held } else { Reason::Unclear });
+            let is_repeated = self.belief.tracking.as_ref().is_some_and(|own| own.had_repeat());
+            understood.reason = match who {
+                Who::House if self.attribution.persons.everybody().is_empty() => None,
+                Who::House => Some(Reason::Held),
+                _ if is_repeated => Some(Reason::Repeated),
+                _ => Some(Reason::Unclear),
+            };
         } else if let (Weighed::Refused(reason), true) = (weighed, is_unnamed) {
             understood.reason = Some(reason);
         }
@@ -256,9 +262,10 @@ impl<M: LanguageModel> Engine<M> {
         let is_lying = sleeps(text).unwrap_or(is_on_bed);
         let rooms = row.as_deref().or(reading.as_deref()).unwrap_or_default();
         // Without a list of residents, nothing limits the number of persons.
-        let persons = self.attribution.persons.unnamed(reporter.is_unknown);
-        let is_more = count > 1 && !self.attribution.persons.has_residents();
-        let counted: Vec<PersonId> = persons.take(if is_more { count.into() } else { 0 }).collect();
+        let persons = &self.attribution.persons;
+        let is_more = count > 1 && !persons.has_residents();
+        let more = is_more.then(|| persons.unnamed(reporter.is_unknown).take(count.into()));
+        let counted: Vec<PersonId> = more.into_iter().flatten().collect();
         let said = Said {
             event: &own.event,
             source: own.source,
@@ -358,15 +365,17 @@ impl<M: LanguageModel> Engine<M> {
         };
         let place = room.and_then(|room| self.map.room(room.as_str(), grounding));
         let counted = tracking.room().filter(|_| count > 1);
-        let is_counted = |person: PersonId| {
-            let leaves = count > 1 && matches!(own.event, Event::Away | Event::Gone);
-            (leaves || counted.is_some()) && tracking.probability(person, counted) > 0.5
-        };
+        let is_counted = |person: PersonId| counted.is_some() && tracking.probability(person, counted) > 0.5;
         let part = |person: &PersonId| {
             let person = *person;
             let out = tracking.probability(person, None);
             let presence = self.attribution.persons.get(person).map_or(Presence::Unknown, |known| known.presence);
-            let is_theirs = tracking.share(person) > HALF || is_counted(person);
+            let has_moved = match own.event {
+                Event::Away => presence == Presence::Present && out > 0.5,
+                Event::Present(None) => presence != Presence::Present && out < 0.5,
+                _ => false,
+            };
+            let is_theirs = tracking.share(person) > HALF || is_counted(person) || count > 1 && has_moved;
             let is_here = place.is_some_and(|room| tracking.probability(person, Some(room)) > 0.5);
             let event = match &own.event {
                 Event::Away | Event::Gone if is_theirs && out > 0.5 => own.event.clone(),

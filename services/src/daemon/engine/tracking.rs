@@ -9,7 +9,7 @@ use std::sync::Arc;
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::ids::{BootNs, PersonId};
-use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport};
+use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport, Sentence};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::tracker::{self, Home, Movement, Observation, Options, SensorSpec, Tracker};
 
@@ -144,9 +144,14 @@ pub(super) struct Tracking {
     room: Option<usize>,
     /// A robot explains what the sensor of the last event saw.
     had_robot: bool,
-    /// Events without a name of the last minute: source, event, time.
-    said: Vec<(u64, Event, f64)>,
+    /// Texts of the last minute, with the time.
+    said: Vec<(Text, f64)>,
+    /// The last event was a repeated text.
+    had_repeat: bool,
 }
+
+/// A text: its source, its person, and the number of unknown persons.
+type Text = (u64, Sentence, Option<PersonId>, u8);
 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Said<'a> {
@@ -199,6 +204,7 @@ impl Tracking {
             room: None,
             had_robot: false,
             said: Vec::new(),
+            had_repeat: false,
         };
         for person in persons {
             own.index_of(person);
@@ -362,13 +368,6 @@ impl Tracking {
         if let Some(person) = said.who.filter(|_| !matches!(said.event, Event::Sensor(_))) {
             self.admit(person);
         }
-        for person in said.counted {
-            if self.at(*person).is_none()
-                && let Some(who) = self.index_of(*person)
-            {
-                self.tracker.observe(at_s, &Observation::Present { who: Some(who), room: None }, TRUST);
-            }
-        }
         let who = match said.who {
             Some(person) => match self.index_of(person) {
                 Some(index) => Some(index),
@@ -404,9 +403,17 @@ impl Tracking {
                 None => return false,
             },
         };
-        if self.is_repeated(&said, at_s) {
+        self.had_repeat = self.is_repeated(&said, at_s);
+        if self.had_repeat {
             self.tracker.repeat(at_s, &observation);
             return true;
+        }
+        for person in said.counted {
+            if self.at(*person).is_none()
+                && let Some(who) = self.index_of(*person)
+            {
+                self.tracker.observe(at_s, &Observation::Present { who: Some(who), room: None }, trust);
+            }
         }
         match (said.count, said.room) {
             // The text names the room once: it is no second observation.
@@ -425,20 +432,27 @@ impl Tracking {
         true
     }
 
-    /// Whether a narrator sent the same event without a name within a minute. Of an unknown narrator, names do not matter.
+    /// Whether a narrator sent the same text within a minute, without a presence in between. Named narrators may repeat texts of known persons.
     fn is_repeated(&mut self, said: &Said<'_>, at_s: f64) -> bool {
         const AGAIN_S: f64 = 60.0;
         const KEPT: usize = 16;
-        if matches!(said.event, Event::Sensor(_)) || said.who.is_some() && !said.is_unknown {
-            return false;
-        }
-        self.said.retain(|(.., last_s)| at_s - last_s < AGAIN_S);
-        let is_known = self.said.iter().any(|(source, event, ..)| (*source, event) == (said.source, said.event));
+        let own = match said.event {
+            Event::Sensor(_) => return false,
+            Event::Did(text) if said.who.is_none() || said.is_unknown => {
+                (said.source, text.clone(), said.who, said.count)
+            }
+            _ => {
+                self.said.clear();
+                return false;
+            }
+        };
+        self.said.retain(|(_, last_s)| at_s - last_s < AGAIN_S);
+        let is_known = self.said.iter().any(|(other, _)| *other == own);
         if !is_known {
             if self.said.len() == KEPT {
                 self.said.remove(0);
             }
-            self.said.push((said.source, said.event.clone(), at_s));
+            self.said.push((own, at_s));
         }
         is_known
     }
@@ -566,6 +580,10 @@ impl Tracking {
     pub(super) fn noisy(&self) -> impl Iterator<Item = (&str, f64, f64)> {
         let noisy = self.now.noisy();
         noisy.filter_map(|(sensor, learned, usual)| Some((&*self.sensors.get(sensor)?.0.2, learned, usual)))
+    }
+
+    pub(super) fn had_repeat(&self) -> bool {
+        self.had_repeat
     }
 
     pub(super) fn had_robot(&self) -> bool {

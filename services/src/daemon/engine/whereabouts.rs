@@ -48,7 +48,8 @@ impl<M: LanguageModel> Engine<M> {
         Whereabouts {
             person: self.called(person),
             places,
-            house_empty: f64::from(self.publication.forecast.elsewhere[0]),
+            house_empty: filter
+                .map_or_else(|| f64::from(self.publication.forecast.elsewhere[0]), |own| own.house_empty()),
             visited: filter.map_or(0.0, |own| own.visitors(1)),
             visited_by_two: filter.map_or(0.0, |own| own.visitors(2)),
             is_joint: tracking.is_some(),

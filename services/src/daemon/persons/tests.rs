@@ -800,8 +800,8 @@ fn presences_and_beliefs_follow_the_sensors() {
         "60 bed-jon on | 60 bed-mira on | 10800 | 1 bed-jon off | 10 corridor on | 6 bathroom on | 30 corridor off | \
          ? Jon bathroom > .7 | ? Mira bedroom > .9 | ? somebody bathroom > .7 | ? somebody bedroom > .9",
         // False alarms bring no resident home. Phones connect late.
-        "LEAVE | ? Jon away | ? Mira away | ? nobody out > .95 | 1 corridor on | ? Jon away | ? Mira away | \
-         50 corridor off | 900 | ? Jon out > .9 | ? Mira out > .9 | \
+        "LEAVE | ? Jon away | ? Mira away | ? nobody out > .9 | 1 corridor on | ? Jon away | ? Mira away | \
+         50 corridor off | 900 | ? Jon out > .7 | ? Mira out > .7 | \
          60 corridor on | 20 phone-jon on | ? Jon present | ? Mira away",
         // A phone leaves, and no sensor saw its person pass the corridor: the phone may be empty.
         "60 phone-jon off | ? Jon out > .4 | ? Jon out < .6 | 3600 | ? Jon out > .7 | ? Jon out < .9 | ? Jon present | ? Mira present",
@@ -818,7 +818,7 @@ fn presences_and_beliefs_follow_the_sensors() {
          60 Jon: away | ? Jon away | ? Mira present | 300 | ? Jon bedroom > .95 | 1 | ? Jon present",
         // Phones at home hold nobody in a room.
         "60 Jon: They lie on the bed. | 1 Mira: They take a shower. | 60: Two people are in the kitchen. | ? Jon kitchen > .8 | \
-         ? Mira kitchen > .8 | 60: Nobody is home. | ? Jon out > .3",
+         ? Mira kitchen > .8 | 60: Nobody is home. | ? Jon out > .9 | ? Jon away",
     ] {
         flat(&steps.replace("LEAVE", LEAVE));
     }
