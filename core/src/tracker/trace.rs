@@ -93,7 +93,7 @@ impl Trace {
         self.last = [0.0; SLOTS_MAX];
     }
 
-    /// A new observation, of which each person caused this share.
+    /// A new observation, with the share that each person caused.
     pub(super) fn attribute(&mut self, shares: [f64; SLOTS_MAX]) {
         self.last = shares;
     }
