@@ -512,6 +512,8 @@ impl Tracker {
             // A device without "off" has turned off since then.
             own.on = on.map(|on| on && own.spec.holds);
             own.since_s = self.now_s;
+            let inside = own.slot.map_or(0.0, |slot| self.belief.inside(slot));
+            own.note_phone(own.on == Some(true), inside);
         }
     }
 

@@ -81,7 +81,7 @@ const LOST_PRESENT: f64 = 0.3;
 const LOST_ACTION: f64 = 0.1;
 /// Probability that a person left unseen, given a report by name that the person is out.
 const LEFT: f64 = 0.7;
-/// A person whom the filter lost left the former room within this time, in seconds.
+/// A lost person left the former room within this time, in seconds.
 const UNSEEN_S: f64 = 3_600.0;
 /// In states below this probability the person stays.
 const LIGHT: f64 = 1e-5;
@@ -149,10 +149,10 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
             weigh_person(own, slot, |column| if column == 0 { trust } else { 1.0 - trust });
         }
         Observation::AllAway => {
+            // Phones and motion sensors are still on when everybody leaves.
+            own.fill_states(UNSEEN_S, |kind| matches!(kind, SensorKind::Bed | SensorKind::Presence));
             // In this order, unknown persons who are out now take no other slot.
             for slot in (0..own.belief.slots()).rev() {
-                // Phones and motion sensors are still on when everybody leaves.
-                own.fill_states(UNSEEN_S, |kind| matches!(kind, SensorKind::Bed | SensorKind::Presence));
                 recall(own, 0, LEFT, |_, other, _| f64::from(u8::from(other == slot)));
             }
             own.belief.weigh_states(|state| if state.rooms().0 == 0 { trust } else { 1.0 - trust });
@@ -246,7 +246,7 @@ fn recall(own: &mut Tracker, to: Column, lost: f64, weight: impl Fn(&State<'_>, 
     });
 }
 
-/// The phases of a person who is placed in a column.
+/// The phases of a person after a move into a column.
 fn arrived(column: Column) -> Phases {
     if column == 0 { [1.0 - FORGETS as f32, FORGETS as f32, 0.0, 0.0] } else { [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0, 0.0] }
 }
@@ -255,8 +255,8 @@ fn arrived(column: Column) -> Phases {
 fn count(own: &mut Tracker, room: usize, persons: usize, trust: f64) {
     let (column, unknown) = (1 + room as Column, own.unknown());
     let persons = persons.min(own.belief.slots());
+    own.fill_states(UNSEEN_S, |_| true);
     for person in 1..=persons {
-        own.fill_states(UNSEEN_S, |_| true);
         let has = |state: &State<'_>| state.slots().filter(|(at, _)| *at == column).count() >= person;
         recall(own, column, LOST_PRESENT, |state, slot, from| match from {
             _ if has(state) => 0.0,
@@ -420,7 +420,7 @@ fn door_opens(own: &mut Tracker, door: &Sensor) {
     own.fill();
     let (tables, unknown) = (&own.tables, own.unknown());
     own.belief.transfer(|state, flows| {
-        // Nobody stands at the outer side of a front door.
+        // The outer side of a front door has no persons.
         let beside = state.slots().any(|(column, _)| column > 0 && sides.contains(&column));
         flows.keep(false_alarm + if beside { OPENS_ONLY } else { 0.0 });
         for (slot, (from, phases)) in state.slots().enumerate() {
@@ -507,7 +507,7 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
         Observation::Present { room: Some(room), .. } | Observation::Count { room, .. } => {
             spread(&|_, column| [f32::from(u8::from(room_at(column) == Some(room))); 4])
         }
-        // Those who are elsewhere now, or no longer.
+        // Persons who went out or came in by it.
         Observation::Present { .. } | Observation::Away { .. } | Observation::Gone { .. } | Observation::AllAway => {
             let is_present = matches!(observation, Observation::Present { .. });
             for (slot, share) in shares.iter_mut().enumerate().take(slots) {

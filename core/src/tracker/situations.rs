@@ -294,6 +294,11 @@ fn an_empty_phone_empties_no_house_whose_door_stays_shut() {
     // Nor if its person is heard of again.
     play.see(Observation::Action { who: Some(JON), rooms: &[0.0, 0.0, 0.0, 0.0, 1.0, 0.0] }, 0.99).after(3_600.0);
     play.expect(play.out(JON) < 0.4);
+    // Nor if the report comes late.
+    play.on(S::PhoneJon).after(600.0);
+    play.tracker.set_late(S::PhoneJon as usize, Some(false));
+    play.after(3_600.0);
+    play.expect(play.out(JON) < 0.7);
 }
 
 #[test]

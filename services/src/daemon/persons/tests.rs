@@ -811,12 +811,12 @@ fn presences_and_beliefs_follow_the_sensors() {
         // An unnamed departure does not outweigh the bed and the phone of a resident.
         "60 living on | 10 Mira: They sit on the sofa. | 10 Jon: They lie on the bed. | 1 bed-jon on | 60: away | \
          ? Jon present | ? Mira present | ? Mira living-room > .8",
-        // Neither does a text, whoever believes that both are out. Later the presence follows the beds, also after a wrong event.
+        // Neither does a text. Later the presence follows the beds, also after a wrong event.
         "60 bed-jon on | 60 bed-mira on | 3600 | 1: Two people are in the kitchen. | ? Jon bedroom > .8 | ? Mira bedroom > .8 | \
          20: Two people are in the kitchen. | 30 | ? Jon bedroom > .9 | ? Mira bedroom > .9 | \
          60: Nobody is home. | ? nobody out < .1 | ? Jon present | ? Mira present | \
          60 Jon: away | ? Jon away | ? Mira present | 300 | ? Jon bedroom > .95 | 1 | ? Jon present",
-        // Phones at home hold nobody in a room.
+        // A phone at home holds no person in a room.
         "60 Jon: They lie on the bed. | 1 Mira: They take a shower. | 60: Two people are in the kitchen. | ? Jon kitchen > .8 | \
          ? Mira kitchen > .8 | 60: Nobody is home. | ? Jon out > .9 | ? Jon away",
     ] {
